@@ -137,7 +137,7 @@ def draw_from_the_side(axes: Axes) -> None:
 def draw_image(axes: Axes) -> None:
     """Vertical edges of a tilted camera meet at the nadir point; one has its lean drawn."""
     camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(tilt_rad=np.radians(35), height_m=1.2))
-    tilt, nadir = camera.mount.tilt_rad, camera.nadir_px
+    tilt, nadir = camera.mount.tilt_rad, camera.project_level([0.0, -1.0, 0.0])
     axes.add_patch(Rectangle((0, 0), 639, 479, facecolor="#f3f5f7", edgecolor=INK, lw=1.6))
     for bearing_deg in (-24, -12, 0, 12, 24):
         e = np.array([camera.upright_bounds[3], camera.upright_bounds[2]])

@@ -207,15 +207,6 @@ class Camera:
         s, c = np.sin(self.mount.roll_rad), np.cos(self.mount.roll_rad)
         return np.array([[c, s], [-s, c]])
 
-    @cached_property
-    def nadir_px(self) -> Array:
-        """The pixel (2,), of the undistorted image, where all vertical edges meet; f·cot(tilt) below the centre.
-
-        Raises ValueError when the tilt is 0.
-        """
-        a, e = self.image_from_upright(geometry.nadir_point(self.mount.tilt_rad))
-        return np.array([self.cx + self.fx * a, self.cy - self.fy * e])
-
     def border_px(self, count: int = 65, outside_px: float = 0.0) -> Array:
         """Return pixels (4, count, 2) along the image's top, bottom, left and right border, or so far outside of it."""
         u, v = (np.linspace(-outside_px, size - 1 + outside_px, count) for size in (self.width, self.height))

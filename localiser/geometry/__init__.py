@@ -40,7 +40,6 @@ from localiser.geometry.slopes import (
     floor_range,
     floor_range_sigma,
     lean_from_bearing,
-    nadir_point,
     sin_of_tilt,
     slope_from_lean,
 )

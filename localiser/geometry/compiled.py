@@ -42,8 +42,8 @@ _OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}(\.[0-9a-f]{8})?")  # the latter: a dra
 
 
 def entry(function: F) -> F:
-    """Compile a loop over particles that Python calls; its machine code is kept."""
-    return cast(F, _with_numba(function, is_kept=True, nogil=True, **_RULES))
+    """Compile a loop over particles that Python calls; its machine code is kept. See `compiled`."""
+    return cast(F, _kept(function, is_entry=True))
 
 
 def inlined(function: F) -> F:
@@ -56,7 +56,7 @@ def compiled(function: F) -> F:
 
     A decorator, or called where the loop is first needed: the same function is compiled once.
     """
-    return cast(F, _compiled(function))
+    return cast(F, _kept(function, is_entry=False))
 
 
 def part(function: F) -> F:
@@ -65,8 +65,9 @@ def part(function: F) -> F:
 
 
 @cache
-def _compiled(function: Callable[..., Any]) -> Any:
-    return _with_numba(function, is_kept=True, error_model="numpy", nogil=True)
+def _kept(function: Callable[..., Any], is_entry: bool) -> Any:
+    rules = _RULES if is_entry else {"error_model": "numpy"}
+    return _with_numba(function, is_kept=True, nogil=True, **rules)
 
 
 def _with_numba(function: Callable[..., Any], is_kept: bool, **rules: Any) -> Any:

@@ -46,14 +46,6 @@ def slope_from_lean(lean_rad: ArrayLike) -> Array:
         return np.asarray(1.0 / np.tan(lean_rad))
 
 
-def nadir_point(tilt_rad: float) -> Array:
-    """Return the image point (a, e) (2,) where all vertical edges meet: (0, -c/s).
-
-    a is normalised to the right, e upwards, without roll. Raises ValueError when the tilt is 0 (point at infinity).
-    """
-    return np.array([0.0, -np.cos(tilt_rad) / sin_of_tilt(tilt_rad)])
-
-
 def edge_a_at(e: ArrayLike, bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     """Return where the vertical edge at this bearing crosses the image height e: a = tan(b) (c + e s)."""
     e = np.asarray(e, dtype=np.float64)

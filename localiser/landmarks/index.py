@@ -6,9 +6,7 @@ pose costs the same however large the map is.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -132,12 +130,8 @@ def in_view_of_cells(
     if range_max_m + slack > reach.radius_m:
         reach = Reach.everything(len(points))
     points = np.ascontiguousarray(points, dtype=np.float64)
-    return _in_view_loop()(run, low, per_unit, shape, offset, points, half_view_rad, range_max_m, *reach.arguments)
-
-
-@cache
-def _in_view_loop() -> Callable[..., tuple[Indices, NDArray[np.int32]]]:
-    return entry(in_view_of_cells_loop)
+    camera = points, half_view_rad, range_max_m
+    return entry(in_view_of_cells_loop)(run, low, per_unit, shape, offset, *camera, *reach.arguments)
 
 
 # -- loops, for numba to compile --------------------------------------------------------------------------------------

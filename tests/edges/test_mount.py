@@ -83,7 +83,7 @@ pixels_in_image = st.tuples(st.floats(0, 639), st.floats(0, 479))
 )
 def test_miss_is_the_angle_to_the_line_through_middle_and_nadir(ends, tilt_deg, roll_deg):
     camera, ends = camera_of(tilt_deg=tilt_deg, roll_deg=roll_deg), np.array(ends)
-    to_middle = ends.mean(axis=0) - camera.nadir_px
+    to_middle = ends.mean(axis=0) - camera.project_level([0.0, -1.0, 0.0])
     across = np.array([to_middle[1], -to_middle[0]]) / np.linalg.norm(to_middle)
     expected = abs((ends[1] - ends[0]) @ across) / np.linalg.norm(ends[1] - ends[0])
     for either_way in (ends, ends[::-1]):

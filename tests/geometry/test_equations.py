@@ -268,7 +268,6 @@ def test_without_tilt_lean_is_zero_and_says_nothing():
     without_tilt = [
         lambda: g.bearing_from_lean(0.1, 0.0),
         lambda: slope_from_point(1.0, -1.0, 0.0),
-        lambda: g.nadir_point(0.0),
         lambda: g.bearing_per_lean(0.1, 0.0),
         lambda: g.bearing_per_tilt_from_lean(0.1, 0.0),
         lambda: rotation_from_slopes(1.0, 2.0, 0.0),
@@ -285,19 +284,6 @@ def test_bearing_of_any_point_of_the_edge_line(bearing, tilt, e):
     # The line's inverse slope is the lean's tangent: equation 2 contains equation 1.
     rise = g.edge_a_at(e + 1, bearing, tilt) - a
     assert rise == pytest.approx(np.tan(g.lean_from_bearing(bearing, tilt)), abs=1e-9)
-
-
-@given(bearing=bearings, tilt=tilts)
-def test_all_edges_meet_at_the_nadir_point(bearing, tilt):
-    a, e = g.nadir_point(tilt)
-    # At 1° of tilt the point is 57 focal lengths down and tan(85°) is 11: 1e-12 is some 10 units in the last place.
-    assert g.edge_a_at(e, bearing, tilt) == pytest.approx(a, abs=1e-12)
-
-
-def test_points_below_the_nadir_point_look_backward():
-    below = g.nadir_point(np.radians(60))[1] - 0.1
-    assert bearing_of_image_point(0.05, below, np.radians(60)) > np.pi / 2
-    assert bearing_of_image_point(-0.05, below, np.radians(60)) < -np.pi / 2
 
 
 # -- two views of one edge (design equations 4 and 5) -----------------------------------------------------------------
