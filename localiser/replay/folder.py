@@ -23,7 +23,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.replay.figures import described, run_metrics, truth_of
 from localiser.replay.run import Replay, Sink, all_of, close_all
 from localiser.ros import OUTPUTS, Message, Outgoing
-from localiser.storage import Log, RunFolder, TrackWriter, require_new_file
+from localiser.storage import Log, RunFolder, TrackWriter, json_text, require_new_file, write_text
 from localiser.storage.bags import (
     FILE_KINDS,
     TRANSFORMS,
@@ -219,8 +219,8 @@ class FolderRun:
         """
         asked = Stop()
         try:
-            self.folder.write_text("config.yaml", to_yaml(in_force(self.replay.localiser.config), ["live"]))
-            self.folder.write_text("run.yaml", described(self.replay))
+            write_text(self.folder.path / "config.yaml", to_yaml(in_force(self.replay.localiser.config), ["live"]))
+            write_text(self.folder.path / "run.yaml", described(self.replay))
             with asked_to_stop() as asked:
 
                 def after_each() -> None:
@@ -279,13 +279,13 @@ class FolderRun:
         }
         reports = [
             lambda: write_report(report, run.track, figures | timing, **known),
-            lambda: folder.write_text("report.html", self._page(figures | timing, report)),
+            lambda: write_text(folder.path / "report.html", self._page(figures | timing, report)),
         ]
         all_of(
             [
                 lambda: close_all(tracks, complete),
-                lambda: folder.write_json("metrics.json", figures),
-                lambda: folder.write_json("timing.json", timing),
+                lambda: write_text(folder.path / "metrics.json", json_text(figures)),
+                lambda: write_text(folder.path / "timing.json", json_text(timing)),
                 lambda: close_all(others, complete),
                 *(reports if self.report else []),
             ]

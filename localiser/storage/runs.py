@@ -55,14 +55,6 @@ class RunFolder:
                 (logs / LATEST).unlink(missing_ok=True)
                 logs.rmdir()
 
-    def write_json(self, name: str, data: Mapping[str, Any]) -> None:
-        """Write a JSON file; see `json_text`. Raises OutputError."""
-        write_text(self.path / name, json_text(data))
-
-    def write_text(self, name: str, content: str) -> None:
-        """Write a text file. Raises OutputError."""
-        write_text(self.path / name, content)
-
 
 def _numbers(logs: Path) -> list[int]:
     return [int(entry.name) for entry in logs.iterdir() if entry.name.isascii() and entry.name.isdigit()]

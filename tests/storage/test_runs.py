@@ -69,7 +69,7 @@ def test_latest_is_a_text_file_where_links_cannot_be_made(tmp_path: Path, monkey
     monkeypatch.setattr(Path, "symlink_to", refuse)
     run = RunFolder.create(tmp_path, "log")
     assert (tmp_path / "log/latest").read_text() == "1\n"
-    run.write_text("trajectory.csv", "")
+    (run.path / "trajectory.csv").touch()
     assert find_run(tmp_path / "log/latest") == run.path
     assert find_run(tmp_path / "log") == run.path
 
@@ -161,7 +161,7 @@ def test_json_is_sorted_plain_and_has_no_nan() -> None:
 
 
 def test_json_is_read_back_and_errors_have_a_place(tmp_path: Path) -> None:
-    RunFolder(tmp_path).write_json("metrics.json", {"frames": 3})
+    write_text(tmp_path / "metrics.json", json_text({"frames": 3}))
     assert read_json(tmp_path / "metrics.json") == {"frames": 3}
     for text, expected in (
         ('{"a": 1,\n}', r"metrics\.json:2:1: not valid JSON"),
