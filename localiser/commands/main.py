@@ -103,54 +103,52 @@ def config_show(config: ConfigFile = None, overrides: Overrides = None) -> None:
 
 
 _NETWORK = ("live", "live demo", "doctor", "simulate", "pose")
-_SETTINGS = {
-    "--connect": ("live.connect=ENDPOINT", ("live demo", "doctor", "simulate", "pose")),
-    "--dds": ("live.dds=DOMAIN", ("live demo", "doctor", "simulate", "pose")),
-    "--domain": ("live.domain=N", ("live demo", "doctor", "simulate", "pose")),
-    "--listen": ("live.listen=ENDPOINT", _NETWORK),
-    "--namespace": ("live.namespace=NAME", _NETWORK),
-    "--interface": ("live.interface=NAME", _NETWORK),
-    "--zenoh-config": ("live.zenoh_config=FILE", _NETWORK),
-    "--topic": ("live.topics.KIND=NAME", ("live", "pose")),
-    "--publish": ("live.publish.KIND=NAME", _NETWORK),
-    "--service": ("live.services.KIND=NAME", _NETWORK),
-    "--frame": ("live.map_frame=NAME or live.odom_frame=NAME", _NETWORK),
-    "--use-sim-time": ("live.use_sim_time=true", _NETWORK),
-    "--transform-tolerance": ("live.transform_tolerance_s=S", _NETWORK),
-    "--seed": ("seed=N", ("live", "live demo")),
-}
-"""Options that are settings now, and of which commands they were."""
-_GONE = {
-    "--ros-distro": ("is the environment's ROS_DISTRO now", _NETWORK),
-    "--format": ("is gone: the format is found out", ("replay", "batch", "camera tilt", "camera sync", "map build")),
-    "--to": ("is gone: OUT says it by .mcap, .db3 or .bag, anything else is a log folder", ("convert",)),
-    "--png": ("is gone: frames of a video become JPEG", ("convert",)),
-    "--seed": ("is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --seed N`", ("demo",)),
-    "--speed": ("is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --speed X`", ("demo",)),
-    "--force": (
+_GONE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("--connect", "is a setting now: --set live.connect=ENDPOINT", _NETWORK[1:]),
+    ("--dds", "is a setting now: --set live.dds=DOMAIN", _NETWORK[1:]),
+    ("--domain", "is a setting now: --set live.domain=N", _NETWORK[1:]),
+    ("--listen", "is a setting now: --set live.listen=ENDPOINT", _NETWORK),
+    ("--namespace", "is a setting now: --set live.namespace=NAME", _NETWORK),
+    ("--interface", "is a setting now: --set live.interface=NAME", _NETWORK),
+    ("--zenoh-config", "is a setting now: --set live.zenoh_config=FILE", _NETWORK),
+    ("--topic", "is a setting now: --set live.topics.KIND=NAME", ("live", "pose")),
+    ("--publish", "is a setting now: --set live.publish.KIND=NAME", _NETWORK),
+    ("--service", "is a setting now: --set live.services.KIND=NAME", _NETWORK),
+    ("--frame", "is a setting now: --set live.map_frame=NAME or live.odom_frame=NAME", _NETWORK),
+    ("--use-sim-time", "is a setting now: --set live.use_sim_time=true", _NETWORK),
+    ("--transform-tolerance", "is a setting now: --set live.transform_tolerance_s=S", _NETWORK),
+    ("--seed", "is a setting now: --set seed=N", ("live", "live demo")),
+    ("--ros-distro", "is the environment's ROS_DISTRO now", _NETWORK),
+    ("--format", "is gone: the format is found out", ("replay", "batch", "camera tilt", "camera sync", "map build")),
+    ("--to", "is gone: OUT says it by .mcap, .db3 or .bag, anything else is a log folder", ("convert",)),
+    ("--png", "is gone: frames of a video become JPEG", ("convert",)),
+    ("--seed", "is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --seed N`", ("demo",)),
+    ("--speed", "is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --speed X`", ("demo",)),
+    (
+        "--force",
         "is gone: nothing that exists is overwritten; name another file, or remove it first",
         tuple(f"map {name}" for name in ("build", "show", "plan", "check", "merge", "update")),
     ),
-    "--view": ("is gone: --rrd FILE, then `localiser view FILE`", ("map build",)),
-    "--log": ("is --path LOG now", ("map show",)),
-    "--poses": ("is gone: `localiser map show MAP --path LOG|FILE` draws a path", ("map show", "map check")),
-    "--plan": ("is gone: `localiser map show MAP --plan PLAN` draws walls", ("map check",)),
-    "--scale": ("is gone: a map and a plan have metres; scale one by its YAML first", ("map align",)),
-    "--by-filter": ("is gone: a log's truth is used where it has one", ("odometry",)),
-    "--images": ("is gone: at most 500 images are used, evenly spread", ("camera tilt",)),
-    "--name": ("is gone: a camera is called as its file; edit `camera_name` in it", ("camera calibrate",)),
-    "--resume": ("is gone: --checkpoint goes on from what is there, unless --start says otherwise", ("live",)),
-    "--seconds": ("is gone: Ctrl-C or SIGTERM end a run, as `timeout 60 localiser live …` does", ("live", "live demo")),
-    "--wait": ("is gone: a stand-in drives off as soon as someone listens", ("simulate",)),
-    "--odometry-hz": ("is gone: a stand-in sends 100 poses a second", ("simulate",)),
-    "--config": ("is gone: --set NAME=VALUE", ("simulate", "live demo")),
-    "--map": ("is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
-    "--image": ("is gone: `localiser live --map MAP --image SOURCE --view web` shows what a camera sees", ("doctor",)),
-    "--picture": ("is gone: `localiser edges LOG` draws the edges of images", ("doctor",)),
-    "--at": ("is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
-    "--report": ("is gone: `localiser replay` with the settings of a run draws its report", ("batch",)),
-}
-"""Options that are gone, what to do instead, and of which commands they were."""
+    ("--view", "is gone: --rrd FILE, then `localiser view FILE`", ("map build",)),
+    ("--log", "is --path LOG now", ("map show",)),
+    ("--poses", "is gone: `localiser map show MAP --path LOG|FILE` draws a path", ("map show", "map check")),
+    ("--plan", "is gone: `localiser map show MAP --plan PLAN` draws walls", ("map check",)),
+    ("--scale", "is gone: a map and a plan have metres; scale one by its YAML first", ("map align",)),
+    ("--by-filter", "is gone: a log's truth is used where it has one", ("odometry",)),
+    ("--images", "is gone: at most 500 images are used, evenly spread", ("camera tilt",)),
+    ("--name", "is gone: a camera is called as its file; edit `camera_name` in it", ("camera calibrate",)),
+    ("--resume", "is gone: --checkpoint goes on from what is there, unless --start says otherwise", ("live",)),
+    ("--seconds", "is gone: Ctrl-C or SIGTERM end a run, as `timeout 60 localiser live …` does", ("live", "live demo")),
+    ("--wait", "is gone: a stand-in drives off as soon as someone listens", ("simulate",)),
+    ("--odometry-hz", "is gone: a stand-in sends 100 poses a second", ("simulate",)),
+    ("--config", "is gone: --set NAME=VALUE", ("simulate", "live demo")),
+    ("--map", "is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
+    ("--image", "is gone: `localiser live --map MAP --image SOURCE --view web` shows what a camera sees", ("doctor",)),
+    ("--picture", "is gone: `localiser edges LOG` draws the edges of images", ("doctor",)),
+    ("--at", "is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
+    ("--report", "is gone: `localiser replay` with the settings of a run draws its report", ("batch",)),
+)
+"""Options that are settings now or gone, what to do instead, and of which commands they were."""
 
 
 def _check_options(arguments: list[str]) -> None:
@@ -158,12 +156,9 @@ def _check_options(arguments: list[str]) -> None:
     command = " ".join(
         arguments[: 2 if arguments[:1] in (["camera"], ["map"]) or arguments[:2] == ["live", "demo"] else 1]
     )
-    for option in (argument.partition("=")[0] for argument in arguments):
-        setting, commands = _SETTINGS.get(option, ("", ()))
-        if command in commands:
-            raise InputError(f"is a setting now: --set {setting}", field=option)
-        instead, commands = _GONE.get(option, ("", ()))
-        if command in commands:
+    given = {argument.partition("=")[0] for argument in arguments}
+    for option, instead, commands in _GONE:
+        if option in given and command in commands:
             raise InputError(instead, field=option)
 
 

@@ -179,12 +179,7 @@ def _shutter(document: Document, file: CameraFile) -> RollingShutter | None:
     if stated.stamp_row > file.image_height - 1:
         problem = f"expected a row of the image, 0 to {file.image_height - 1}, found {stated.stamp_row:g}"
         raise document.error(("rolling_shutter", "stamp_row"), problem)
-    return shutter_of(stated.row_time_us, stated.stamp_row)
-
-
-def shutter_of(row_time_us: float, stamp_row: float) -> RollingShutter:
-    """Return the shutter whose rows are so many microseconds apart."""
-    return RollingShutter(row_time_us / 1e6, stamp_row)
+    return RollingShutter(stated.row_time_us / 1e6, stated.stamp_row)
 
 
 def shutter_data(shutter: RollingShutter) -> dict[str, float]:
