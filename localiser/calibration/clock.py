@@ -233,27 +233,21 @@ class _Pairs:
         each = []
         for noise in _WHEEL_NOISE:
             var = sigma**2 + _LEAST_TURN_SIGMA**2 + noise**2 * (np.abs(wheel) + _TURN_A_METRE * way_m)
-            scale, veer = _fit_scale_and_veer(turn - wheel, wheel, way_m, var)
+            scale, veer = np.zeros((2, len(offsets_s)))
+            for _ in range(_SWEEPS):  # reweighted least squares of scale and veer
+                off = turn - wheel
+                weight = (_FREEDOM + 1.0) / (_FREEDOM * var + (off - scale * wheel - veer * way_m) ** 2)
+                ss = (weight * wheel * wheel).sum(axis=0) + _SCALE_SIGMA**-2
+                sv = (weight * wheel * way_m).sum(axis=0)
+                vv = (weight * way_m * way_m).sum(axis=0) + _VEER_SIGMA**-2
+                s, v = (weight * wheel * off).sum(axis=0), (weight * way_m * off).sum(axis=0)
+                determinant = ss * vv - sv**2
+                scale, veer = (vv * s - sv * v) / determinant, (ss * v - sv * s) / determinant
             residual = turn - (1.0 + scale) * wheel - veer * way_m
             fit = -0.5 * np.log(var) - 0.5 * (_FREEDOM + 1.0) * np.log1p(residual**2 / (_FREEDOM * var))
             prior = -0.5 * ((scale / _SCALE_SIGMA) ** 2 + (veer / _VEER_SIGMA) ** 2)
             each.append(fit.sum(axis=0) + prior)
         return np.asarray(np.logaddexp.reduce(each, axis=0))
-
-
-def _fit_scale_and_veer(off: Array, wheel: Array, way_m: Array, var: Array) -> tuple[Array, Array]:
-    """Return scale and veer (G,) that best explain by how much turns are off (P, G): reweighted least squares."""
-    scale, veer = np.zeros((2, off.shape[1]))
-    for _ in range(_SWEEPS):
-        residual = off - scale * wheel - veer * way_m
-        weight = (_FREEDOM + 1.0) / (_FREEDOM * var + residual**2)
-        ss = (weight * wheel * wheel).sum(axis=0) + _SCALE_SIGMA**-2
-        sv = (weight * wheel * way_m).sum(axis=0)
-        vv = (weight * way_m * way_m).sum(axis=0) + _VEER_SIGMA**-2
-        s, v = (weight * wheel * off).sum(axis=0), (weight * way_m * off).sum(axis=0)
-        determinant = ss * vv - sv**2
-        scale, veer = (vv * s - sv * v) / determinant, (ss * v - sv * s) / determinant
-    return scale, veer
 
 
 def unwrapped(odometry: Trajectory) -> Trajectory:

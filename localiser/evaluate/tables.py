@@ -116,8 +116,10 @@ def fit_width(table: Table, console: Console) -> list[Table]:
     """
     if not table.show_header or _width(table, console) <= console.width:
         return [table]
-    count = len(table.columns)
-    keys = _keys(table)
+    count, cells = len(table.columns), [[str(cell) for cell in column.cells] for column in table.columns]
+    # As many columns at the beginning as tell the rows apart.
+    told_apart = (k for k in range(1, count) if len(set(zip(*cells[:k], strict=True))) == len(table.rows))
+    keys = next(told_apart, 1)
     pieces: list[Table] = []
     start = keys
     while start < count:
@@ -129,13 +131,6 @@ def fit_width(table: Table, console: Console) -> list[Table]:
     pieces = pieces or [table]
     pieces[0].title, pieces[-1].caption = table.title, table.caption
     return pieces
-
-
-def _keys(table: Table) -> int:
-    """Return how many columns at the beginning tell the rows apart."""
-    columns = [[str(cell) for cell in column.cells] for column in table.columns]
-    rows = len(table.rows)
-    return next((k for k in range(1, len(columns)) if len(set(zip(*columns[:k], strict=True))) == rows), 1)
 
 
 def _part(table: Table, chosen: Sequence[int]) -> Table:

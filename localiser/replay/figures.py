@@ -146,9 +146,7 @@ def run_metrics(run: Results) -> dict[str, Any]:
     mount, warnings = _mount(run)
     height, height_warnings = _height(run)
     clock, clock_warnings = _clock(run)
-    warnings += (
-        clock_warnings + _light_warnings(run) + _map_warnings(run) + _wheel_warnings(run) + _silence_warnings(run)
-    )
+    warnings += clock_warnings + _light_warnings(run) + _filter_warnings(run) + _silence_warnings(run)
     if run.localiser.config.increments.source != "vision" and (jumped := jump_text(run.log)):
         warnings.append(jumped)
     in_view, matched = (summary.landmark_use > 0).T
@@ -175,29 +173,23 @@ def _constants(run: Results) -> dict[str, Any]:
     }
 
 
-def _map_warnings(run: Results) -> list[str]:
-    """Return what the filter said of the map, as texts for people."""
-    warnings = run.summary.warnings
-    told = [index for index, warning in enumerate(warnings) if warning]
-    if not told:
-        return []
-    since_s = run.track.seconds[told[0]]
-    return [
-        f"{warnings[told[0]].capitalize()}: the images show other edges than it has, in {len(told)} "
-        f"of {len(warnings)} images, for the first time after {since_s:.1f} s. Is it of this building?"
-    ]
-
-
-def _wheel_warnings(run: Results) -> list[str]:
-    """Return when the filter went on without the wheels, as a text for people."""
+def _filter_warnings(run: Results) -> list[str]:
+    """Return what the filter said of the map, and when it went on without the wheels, as texts for people."""
+    texts, warnings, seconds = [], run.summary.warnings, run.track.seconds
+    if told := [index for index, warning in enumerate(warnings) if warning]:
+        texts.append(
+            f"{warnings[told[0]].capitalize()}: the images show other edges than it has, in {len(told)} of "
+            f"{len(warnings)} images, for the first time after {seconds[told[0]]:.1f} s. Is it of this building?"
+        )
     wrong = run.summary.wheels_are_wrong
-    if wrong.sum() < WRONG_IMAGES:
-        return []
-    first, last = run.track.seconds[np.flatnonzero(wrong)[[0, -1]]]
-    return [
-        f"The wheels contradict the images in {wrong.sum()} of {len(wrong)} images, the first after {first:.1f} s and "
-        f"the last after {last:.1f} s: do they slip, stand still or fall silent? There the edges alone were followed."
-    ]
+    if wrong.sum() >= WRONG_IMAGES:
+        first, last = seconds[np.flatnonzero(wrong)[[0, -1]]]
+        texts.append(
+            f"The wheels contradict the images in {wrong.sum()} of {len(wrong)} images, the first after {first:.1f} s "
+            f"and the last after {last:.1f} s: do they slip, stand still or fall silent? There the edges alone were "
+            "followed."
+        )
+    return texts
 
 
 def _silence_warnings(run: Results) -> list[str]:

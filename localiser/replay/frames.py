@@ -98,32 +98,21 @@ def in_order(
             yield event, partial(measure, event) if is_image(event) else None
         return
     pool = ThreadPoolExecutor(1, thread_name_prefix="edges")
+    waiting: deque[tuple[Any, Found[T] | None]] = deque()
+    images, failure = 0, None
     try:
-        yield from _ahead(events, measure, is_image, pool)
+        try:
+            for event in events:
+                found: Found[T] | None = pool.submit(measure, event).result if is_image(event) else None
+                waiting.append((event, found))
+                images += found is not None
+                while images > IMAGES_AHEAD:
+                    images -= waiting[0][1] is not None
+                    yield waiting.popleft()
+        except Exception as error:  # in reading
+            failure = error
+        yield from waiting
+        if failure is not None:
+            raise failure
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _ahead(
-    events: Iterable[Any], measure: Callable[[Any], T], is_image: Callable[[Any], bool], pool: ThreadPoolExecutor
-) -> Iterator[tuple[Any, Found[T] | None]]:
-    waiting: deque[tuple[Any, Found[T] | None]] = deque()
-    images, source, failure = 0, iter(events), None
-    while True:
-        try:
-            event = next(source)
-        except StopIteration:
-            break
-        except Exception as error:
-            failure = error
-            break
-        found: Found[T] | None = pool.submit(measure, event).result if is_image(event) else None
-        waiting.append((event, found))
-        images += found is not None
-        while images > IMAGES_AHEAD:
-            event, found = waiting.popleft()
-            images -= found is not None
-            yield event, found
-    yield from waiting
-    if failure is not None:
-        raise failure

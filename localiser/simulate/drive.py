@@ -145,12 +145,18 @@ def mount_at(mount: Mount, motion: MountMotionSpec | None, t_ns: int) -> Mount:
     """Return the true mount at a time: the usual one, plus what each part sways by."""
     if motion is None:
         return mount
+
+    def swayed(sway: Sway | None) -> float:
+        if sway is None:
+            return 0.0
+        return sway.amplitude * math.sin(2.0 * math.pi * sway.hz * t_ns / 1e9 + math.radians(sway.phase_deg))
+
     return replace(
         mount,
-        tilt_rad=mount.tilt_rad + math.radians(_swayed(motion.tilt_deg, t_ns)),
-        roll_rad=mount.roll_rad + math.radians(_swayed(motion.roll_deg, t_ns)),
-        yaw_rad=mount.yaw_rad + math.radians(_swayed(motion.yaw_deg, t_ns)),
-        height_m=mount.height_m + _swayed(motion.height_m, t_ns),
+        tilt_rad=mount.tilt_rad + math.radians(swayed(motion.tilt_deg)),
+        roll_rad=mount.roll_rad + math.radians(swayed(motion.roll_deg)),
+        yaw_rad=mount.yaw_rad + math.radians(swayed(motion.yaw_deg)),
+        height_m=mount.height_m + swayed(motion.height_m),
     )
 
 
@@ -162,9 +168,3 @@ def stated_mount(true: Mount, motion: MountMotionSpec, rng: np.random.Generator)
     tilt, roll = sigma_rad * rng.standard_normal(2)
     sigma = MountSigma(tilt_rad=sigma_rad, roll_rad=sigma_rad)
     return replace(true, tilt_rad=true.tilt_rad + float(tilt), roll_rad=true.roll_rad + float(roll), sigma=sigma)
-
-
-def _swayed(sway: Sway | None, t_ns: int) -> float:
-    if sway is None:
-        return 0.0
-    return sway.amplitude * math.sin(2.0 * math.pi * sway.hz * t_ns / 1e9 + math.radians(sway.phase_deg))

@@ -251,27 +251,6 @@ def _groups_by_count(count: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return [group for group in groups if len(group)]
 
 
-class _Surfaces(NamedTuple):
-    """Surfaces of some rays: of K solids the face at entry, and the top or underside (cap) behind it; all (K, C').
-
-    A missing solid has its entry at infinity. low, high, cap: heights above the camera, cap nan where there is none.
-    """
-
-    solid: NDArray[np.intp]
-    entry: Array
-    leave: Array
-    low: Array
-    high: Array
-    cap: Array
-
-
-def _surfaces(scenery: _Scenery, column: NDArray[np.intp], solid: NDArray[np.intp]) -> _Surfaces:
-    entry, leave = (np.where(solid >= 0, distance[solid, column], np.inf) for distance in scenery.hits)
-    low, high = scenery.bottom[solid], scenery.top[solid]
-    # A top is seen from above, an underside from below; never both.
-    return _Surfaces(solid, entry, leave, low, high, np.where(high < 0, high, np.where(low > 0, low, np.nan)))
-
-
 def _stack(
     scenery: _Scenery, view: LevelView, columns: Columns, column: NDArray[np.intp], solid: NDArray[np.intp]
 ) -> Spans:
@@ -279,11 +258,26 @@ def _stack(
     # One missing solid at least, so that rays which meet nothing need no case of their own.
     number = max(1, int((solid >= 0).sum(axis=0).max(initial=0)))
     padding = np.full((1, len(column)), -1)
-    surfaces = _surfaces(scenery, column, np.concatenate([solid, padding])[:number])
+    solid = np.concatenate([solid, padding])[:number]
+    # Of each solid (K, C') the face at entry, infinitely far for a missing one, and the top or underside (cap) behind
+    # it, nan where there is none: a top is seen from above, an underside from below; never both.
+    entry, leave = (np.where(solid >= 0, distance[solid, column], np.inf) for distance in scenery.hits)
+    bottom, top = scenery.bottom[solid], scenery.top[solid]
+    cap = np.where(top < 0, top, np.where(bottom > 0, bottom, np.nan))
+    low, high = bottom / entry, top / entry
     # The elevations (I, C'), falling, at which another surface may come into sight; the horizon is one.
-    ends = [surfaces.low / surfaces.entry, surfaces.high / surfaces.entry, np.nan_to_num(surfaces.cap / surfaces.leave)]
-    limits = np.sort(np.concatenate([*ends, np.zeros((1, len(column)))]), axis=0)[::-1]
-    nearest, middle = _nearest(scenery, surfaces, limits)
+    limits = np.concatenate([low, high, np.nan_to_num(cap / leave), np.zeros((1, len(column)))])
+    limits = np.sort(limits, axis=0)[::-1]
+    # Between them the nearest is seen that the middle meets: k face, K + k cap, 2K floor or ceiling.
+    far = np.full((1, len(column)), 1e3)
+    ends = np.concatenate([far, limits, -far])
+    middle = ((ends[:-1] + ends[1:]) / 2)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        faces = np.where((middle >= low) & (middle <= high), entry, np.inf)
+        at_cap = cap / middle
+        caps = np.where((at_cap >= entry) & (at_cap <= leave), at_cap, np.inf)
+        shell = np.where(middle < 0, scenery.floor, scenery.ceiling) / middle
+    nearest, middle = np.concatenate([faces, caps, shell], axis=1).argmin(axis=1), middle[:, 0]
     is_upright, is_shell = nearest < number, nearest == 2 * number
     which = np.where(is_shell, 0, nearest % number)
     here = np.broadcast_to(np.arange(len(column)), nearest.shape)
@@ -298,25 +292,8 @@ def _stack(
         column=column[here][kept],
         first_row=rows[:-1][kept],
         count=count[kept],
-        solid=np.where(is_shell, np.where(is_below, FLOOR, CEILING), surfaces.solid[which, here])[kept],
+        solid=np.where(is_shell, np.where(is_below, FLOOR, CEILING), solid[which, here])[kept],
         is_upright=is_upright[kept],
-        distance_m=surfaces.entry[which, here][kept],
-        above_m=np.where(is_shell, np.where(is_below, scenery.floor, scenery.ceiling), surfaces.cap[which, here])[kept],
+        distance_m=entry[which, here][kept],
+        above_m=np.where(is_shell, np.where(is_below, scenery.floor, scenery.ceiling), cap[which, here])[kept],
     )
-
-
-def _nearest(scenery: _Scenery, surfaces: _Surfaces, limits: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the nearest surface (I + 1, C') between limits: k face, K + k cap, 2K floor or ceiling; and where tested.
-
-    The middle (I + 1, C') of each interval is tested.
-    """
-    far = np.full((1, limits.shape[1]), 1e3)
-    ends = np.concatenate([far, limits, -far])
-    middle = ((ends[:-1] + ends[1:]) / 2)[:, None]
-    low, high = surfaces.low / surfaces.entry, surfaces.high / surfaces.entry
-    with np.errstate(divide="ignore", invalid="ignore"):
-        faces = np.where((middle >= low) & (middle <= high), surfaces.entry, np.inf)
-        at_cap = surfaces.cap / middle
-        caps = np.where((at_cap >= surfaces.entry) & (at_cap <= surfaces.leave), at_cap, np.inf)
-        shell = np.where(middle < 0, scenery.floor, scenery.ceiling) / middle
-    return np.concatenate([faces, caps, shell], axis=1).argmin(axis=1), middle[:, 0]

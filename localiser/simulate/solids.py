@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.geometry import Array
-from localiser.simulate.world import Box, Door, Leaf, Post, Poster, Wall, World
+from localiser.simulate.world import Box, Door, Leaf, Post, Wall, World
 
 POSTER_DEPTH_M = 0.002
 
@@ -130,7 +130,11 @@ def _wall(wall: Wall, ceiling_m: float) -> Iterator[_Prism]:
         yield from _door(line, door, opening, top)
         begin = opening[1]
     yield _Prism(line.footprint((begin, wall.length_m + half), (-half, half)), 0.0, top, wall.material, begin)
-    yield from (_poster(line, poster) for poster in wall.posters)
+    for poster in wall.posters:
+        along = (poster.at_m - poster.width_m / 2, poster.at_m + poster.width_m / 2)
+        right = (half, half + POSTER_DEPTH_M) if poster.side == "right" else (-half - POSTER_DEPTH_M, -half)
+        bottom = poster.bottom_m
+        yield _Prism(line.footprint(along, right), bottom, poster.top_m, poster.material, 0.0, bottom, True)
 
 
 def _door(line: _Line, door: Door, opening: tuple[float, float], top: float) -> Iterator[_Prism]:
@@ -162,15 +166,6 @@ def _leaf(line: _Line, leaf: Leaf, opening: tuple[float, float], top: float) -> 
     end = inset - (opening[1] - opening[0] - inset)
     corners = np.array([[half, inset], [half, end], [-half, end], [-half, inset]])
     return _Prism(geometry.map_from_robot(hinge, corners), 0.005, top, leaf.material)
-
-
-def _poster(line: _Line, poster: Poster) -> _Prism:
-    face = line.wall.thickness_m / 2
-    along = (poster.at_m - poster.width_m / 2, poster.at_m + poster.width_m / 2)
-    right = (face, face + POSTER_DEPTH_M) if poster.side == "right" else (-face - POSTER_DEPTH_M, -face)
-    return _Prism(
-        line.footprint(along, right), poster.bottom_m, poster.top_m, poster.material, 0.0, poster.bottom_m, True
-    )
 
 
 def _post(post: Post, ceiling_m: float) -> _Prism:

@@ -159,9 +159,13 @@ class Recorder:
         if truth is not None:
             self._stream.log(paths.TRUTH, draw.arrow(truth, palette.TRUTH, 2.5))
             self._log_trail(paths.TRUTH_TRAIL, truth, palette.TRUTH)
-        odometry = self._odometry_in_map(frame)
-        if np.isfinite(odometry).all():
-            self._log_trail(paths.ODOMETRY_TRAIL, odometry, palette.ODOMETRY)
+        if np.isfinite(located.odometry).all():
+            if self._map_from_odometry is None and frame.is_found:
+                origin = geometry.between(located.odometry, np.zeros(3))
+                self._map_from_odometry = geometry.compose(estimate.pose, origin)
+            if self._map_from_odometry is not None:
+                odometry = geometry.compose(self._map_from_odometry, located.odometry)
+                self._log_trail(paths.ODOMETRY_TRAIL, odometry, palette.ODOMETRY)
 
     def _log_confidence(self, located: Located) -> None:
         if located.reason != self._reason:
@@ -187,15 +191,6 @@ class Recorder:
         start = self._trails.get(path, pose)
         self._trails[path] = pose
         self._stream.log(path, draw.trail(np.stack([start[:2], pose[:2]]), colour))
-
-    def _odometry_in_map(self, frame: LocatedFrame) -> Array:
-        located = frame.located
-        if self._map_from_odometry is None and frame.is_found and np.isfinite(located.odometry).all():
-            origin = geometry.between(located.odometry, np.zeros(3))
-            self._map_from_odometry = geometry.compose(located.estimate.pose, origin)
-        if self._map_from_odometry is None:
-            return np.full(3, np.nan)
-        return geometry.compose(self._map_from_odometry, located.odometry)
 
     def _log_image(self, frame: LocatedFrame) -> None:
         log, edges, matches = self._stream.log, frame.located.edges, frame.matches
