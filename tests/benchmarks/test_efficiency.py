@@ -9,9 +9,8 @@ from efficiency import bearing_information, efficiency, information, posterior_b
 from localiser import geometry
 from localiser.camera import Camera, Mount
 from localiser.edges import CommonError, Edges
-from localiser.geometry import Array, Increment
+from localiser.geometry import Array
 from localiser.landmarks import bearing_jacobian
-from localiser.motion import MotionParameters, linearised
 
 TILT = np.radians(20)
 CAMERA = Camera(640, 480, 554, 554, 319.5, 239.5, Mount(TILT, 0.8, yaw_rad=0.1, right_m=0.05, back_m=-0.15))
@@ -100,54 +99,6 @@ def test_clutter_tells_nothing() -> None:
         bearing_information(POSE, CAMERA, POINTS[:3], known, "line"),
     )
     assert not bearing_information(POSE, CAMERA, POINTS, Edges.none(), "slope").any()
-
-
-@pytest.mark.slow  # quick: the Kalman filter and equation 12 above
-def test_an_extended_kalman_filter_with_small_noise_attains_the_bound() -> None:
-    """Bearings from an offset camera, the motion model's own noise: RMSE over bound is 1 within its interval.
-
-    The truth is drawn, the odometry is exact: increments and truth differ by the model's noise.
-    """
-    rng = np.random.default_rng(5)
-    parameters = MotionParameters(alpha1=1e-4, alpha2=1e-4, alpha3=1e-4, alpha4=1e-5)
-    increment = Increment.from_mean([0.0, -0.05, 0.02])
-    seeds, frames, sigma = 120, 40, 0.01
-    points = np.array([[-2.0, -4.0], [2.0, -3.0], [-3.0, 1.0], [3.0, 2.0], [0.5, 4.0]])
-    mount = CAMERA.robot_from_level
-    prior = np.diag([0.02, 0.02, 0.01]) ** 2
-    errors, bounds = np.empty((seeds, frames)), np.empty((seeds, frames))
-    for seed in range(seeds):
-        estimate, cov = np.zeros(3), prior
-        truth = rng.multivariate_normal(estimate, prior)
-        transitions, noises, gained = [], [], []
-        for frame in range(frames):
-            if frame:
-                f, q = linearised(truth, increment, parameters)
-                transitions.append(f)
-                noises.append(q)
-                truth = geometry.compose(truth, increment.mean) + rng.multivariate_normal(np.zeros(3), q)
-                f, q = linearised(estimate, increment, parameters)
-                estimate, cov = geometry.compose(estimate, increment.mean), f @ cov @ f.T + q
-            gained.append(
-                information(
-                    bearing_jacobian(truth, geometry.compose(truth, mount), points), np.full(len(points), sigma)
-                )
-            )
-            true_points = geometry.robot_from_map(geometry.compose(truth, mount), points)
-            measured = geometry.bearing_from_point(*true_points.T) + sigma * rng.standard_normal(len(points))
-            expected = geometry.bearing_from_point(
-                *geometry.robot_from_map(geometry.compose(estimate, mount), points).T
-            )
-            h = bearing_jacobian(estimate, geometry.compose(estimate, mount), points)
-            gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + sigma**2 * np.eye(len(points)))
-            estimate = estimate + gain @ geometry.wrap_angle(measured - expected)
-            cov = (np.eye(3) - gain @ h) @ cov
-            errors[seed, frame] = np.hypot(*(estimate - truth)[:2])
-        bound = posterior_bound(prior, np.array(transitions), np.array(noises), np.array(gained))
-        bounds[seed] = np.sqrt(np.trace(bound[:, :2, :2], axis1=1, axis2=2))
-    result = efficiency(errors, bounds, rng)
-    assert result.low <= 1.0 <= result.high
-    assert result.high - result.low < 0.12
 
 
 # -- RMSE over the bound, with its bootstrap interval -----------------------------------------------------------------
