@@ -19,6 +19,7 @@ from localiser import geometry
 from localiser.geometry import Array, Trajectory, Twist
 
 DISTORTION_COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,), "none": (0,)}
+_UPWARDS = np.array([1.0, -1.0])  # rows of an image count downwards
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
 
 
@@ -95,6 +96,14 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @cached_property
+    def _centre_px(self) -> Array:
+        return np.array([self.cx, self.cy])
+
+    @cached_property
+    def _focal_px(self) -> Array:
+        return np.array([self.fx, self.fy])
+
+    @cached_property
     def focal_px(self) -> float:
         """One focal length for turning pixel errors into angles: √(fx fy)."""
         return float(np.sqrt(self.fx * self.fy))
@@ -117,7 +126,7 @@ class Camera:
         """Return floor poses (..., 3) of the camera in the map for robots at `robot_pose` (..., 3)."""
         return geometry.compose(robot_pose, self.robot_from_level)
 
-    @property
+    @cached_property
     def is_distorted(self) -> bool:
         """Whether the lens bends straight lines at all."""
         return any(self.distortion) or self.distortion_model == "equidistant"
@@ -159,12 +168,12 @@ class Camera:
         elif self.is_distorted:
             found = cv2.undistortPoints(flat, self.matrix, np.array(self.distortion), criteria=_UNDISTORT_UNTIL)
         else:
-            found = (flat - [self.cx, self.cy]) / [self.fx, self.fy]
-        return np.asarray(found.reshape(pixels.shape) * [1.0, -1.0])
+            found = (flat - self._centre_px) / self._focal_px
+        return np.asarray(found.reshape(pixels.shape) * _UPWARDS)
 
     def pixels_from_image(self, image_points: ArrayLike) -> Array:
         """Return pixels (u, v) (..., 2) of image coordinates (a, e) (..., 2); applies the lens distortion."""
-        points = np.asarray(image_points, dtype=np.float64) * [1.0, -1.0]
+        points = np.asarray(image_points, dtype=np.float64) * _UPWARDS
         flat = np.ascontiguousarray(points.reshape(-1, 1, 2))
         if flat.size == 0:
             return np.zeros(points.shape)
@@ -174,7 +183,7 @@ class Camera:
             rays = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1)
             found, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.matrix, np.array(self.distortion))
         else:
-            found = flat * [self.fx, self.fy] + [self.cx, self.cy]
+            found = flat * self._focal_px + self._centre_px
         return np.asarray(found.reshape(points.shape))
 
     @cached_property
@@ -275,25 +284,21 @@ class Camera:
         The least-squares line through the nadir point weighs each end by its squared distance from that point, which
         is proportional to (c + e s)²; it also holds when the tilt is 0 and the nadir point is infinitely far.
         """
-        return self._bearing_and_depth(ends_px)[0]
+        return self.bearings_of_segments(ends_px, 0.0)[0]
 
-    def _bearing_and_depth(self, ends_px: ArrayLike) -> tuple[Array, Array]:
-        """Return `bearing_of_segments` (E,), and c + e s of both ends (E, 2)."""
+    def bearings_of_segments(self, ends_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> tuple[Array, Array]:
+        """Return `bearing_of_segments` (E,), and its sigma (E,) for ends that err by sigma (E,) across the line.
+
+        The sigma is J σ / √(2 D² + L²/2) of design equation 7, written so that it also holds for a tilt of 0.
+        """
         ends = self.upright_from_pixels(ends_px)
         from_nadir = np.cos(self.mount.tilt_rad) + ends[..., 1] * np.sin(self.mount.tilt_rad)
-        tangent = (ends[..., 0] * from_nadir).sum(axis=-1) / (from_nadir**2).sum(axis=-1)
-        return np.asarray(np.arctan(tangent)), from_nadir
-
-    def bearing_sigma_of_segments(self, ends_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> Array:
-        """Return the sigma (E,) of `bearing_of_segments` for ends that err by sigma (E,) across the line.
-
-        J σ / √(2 D² + L²/2) of design equation 7, written so that it also holds for a tilt of 0.
-        """
-        bearing, from_nadir = self._bearing_and_depth(ends_px)
+        squared = (from_nadir**2).sum(axis=-1)
+        bearing = np.arctan((ends[..., 0] * from_nadir).sum(axis=-1) / squared)
         lean = geometry.lean_from_bearing(bearing, self.mount.tilt_rad)
         sigma = np.asarray(endpoint_sigma_px, dtype=np.float64) / self.focal_px
-        sigma_tangent = sigma / np.cos(lean) / np.sqrt((from_nadir**2).sum(axis=-1))
-        return np.asarray(sigma_tangent * np.cos(bearing) ** 2)
+        sigma_tangent = sigma / np.cos(lean) / np.sqrt(squared)
+        return np.asarray(bearing), np.asarray(sigma_tangent * np.cos(bearing) ** 2)
 
     def bearing_jacobians(self, bearing_rad: ArrayLike, middle_e: ArrayLike) -> tuple[Array, Array]:
         """Return d(bearing)/d(tilt, roll) (E, 2) for bearings from lean alone, and for those from line and nadir.

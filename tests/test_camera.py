@@ -257,7 +257,7 @@ def edge_segment(camera, bearing, length_px, middle_e=0.0):
 def test_bearing_sigma_of_the_design_table(bearing_deg, sigma_deg):
     camera = make_camera()
     segment = edge_segment(camera, np.radians(bearing_deg), 200)
-    sigma = np.degrees(camera.bearing_sigma_of_segments(segment, np.array([0.5])))
+    sigma = np.degrees(camera.bearings_of_segments(segment, np.array([0.5]))[1])
     assert sigma[0] == pytest.approx(sigma_deg, abs=5e-5)
 
 
@@ -272,7 +272,7 @@ def test_bearing_sigma_is_that_of_the_held_line(bearing, tilt, roll, length_px):
     segment = edge_segment(camera, bearing, length_px, middle_e=0.1)
     distance = np.linalg.norm(segment[0].mean(axis=0) - camera.project_level([0.0, -1.0, 0.0]))
     expected = g.bearing_per_lean(bearing, tilt) * 0.5 / np.sqrt(2 * distance**2 + length_px**2 / 2)
-    assert camera.bearing_sigma_of_segments(segment, np.array([0.5]))[0] == pytest.approx(expected, rel=1e-9)
+    assert camera.bearings_of_segments(segment, np.array([0.5]))[1][0] == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 5, 20, 45])
@@ -285,7 +285,7 @@ def test_sigmas_match_segments_with_noisy_ends(tilt_deg, bearing_deg):
     noisy = segment + sigma * rng.standard_normal((count, 2, 2))  # along the line it does not matter
     bearings, leans = camera.bearing_of_segments(noisy), camera.lean_of_segments(noisy)
     # A standard deviation of n samples errs by 1/√(2n) = 0.5 %, 4 sigma; a mean by sigma/√n.
-    expected = camera.bearing_sigma_of_segments(segment, np.array([sigma]))[0]
+    expected = camera.bearings_of_segments(segment, np.array([sigma]))[1][0]
     assert bearings.std() == pytest.approx(expected, rel=0.02)
     assert bearings.mean() == pytest.approx(bearing, abs=4 * expected / np.sqrt(count))
     assert leans.std() == pytest.approx(np.sqrt(2) * sigma / length, rel=0.02)

@@ -198,8 +198,7 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
     uncertain ones cannot join two edges in a chain.
     """
     ideal = ideal_camera(camera)
-    per_px = ideal.bearing_sigma_of_segments(segments.support_px, 1.0)
-    bearing = ideal.bearing_of_segments(segments.support_px)
+    bearing, per_px = ideal.bearings_of_segments(segments.support_px, 1.0)
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
     variance = (per_px * segments.across_sigma_px) ** 2

@@ -245,8 +245,8 @@ def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array
     Segments of one edge that disagree by more than their sigmas make it as uncertain as they are apart.
     """
     ideal = ideal_camera(camera)
-    each = ideal.bearing_of_segments(segments.support_px)
-    weight = ideal.bearing_sigma_of_segments(segments.support_px, segments.across_sigma_px) ** -2
+    each, sigma = ideal.bearings_of_segments(segments.support_px, segments.across_sigma_px)
+    weight = sigma**-2
     total = groups.sum(weight)
     bearing = groups.sum(weight * each) / total
     members = np.bincount(groups.of, minlength=groups.count)

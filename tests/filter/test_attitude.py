@@ -40,7 +40,7 @@ def measured(edges: Edges, camera: Camera) -> Edges:
     return replace(
         edges,
         bearing=bearing,
-        bearing_sigma=camera.bearing_sigma_of_segments(edges.ends_px, NOISE.endpoint_sigma_px),
+        bearing_sigma=camera.bearings_of_segments(edges.ends_px, NOISE.endpoint_sigma_px)[1],
         lean=camera.lean_of_segments(edges.ends_px),
         lean_sigma=np.sqrt(2) * NOISE.endpoint_sigma_px / edges.length_px,
         common=common_error(bearing, middle_e.mean(axis=1), camera, SIGMA),
