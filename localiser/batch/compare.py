@@ -346,13 +346,9 @@ def comparison_table(verdict: Verdict) -> Table:
 def _change(one: Comparison) -> tuple[str, str]:
     """Return the mean change of a figure and its interval, in per cent; of shares, in percentage points."""
     if one.figure.as_ratio:
-        mean, low, high = (_percent(value) for value in (one.loss, one.low, one.high))
+        logs, most = (one.loss, one.low, one.high), math.log(1e6)
+        mean, low, high = (f"{100 * math.expm1(log):+.1f}" if log < most else "> 10⁸" for log in logs)
         return f"{mean} %", f"{low} … {high} %"
     sign = 100.0 if one.figure.more_is_worse else -100.0
     least, middle, most = sorted(sign * value + 0.0 for value in (one.low, one.loss, one.high))  # no -0.0
     return f"{middle:+.1f} points", f"{least:+.1f} … {most:+.1f} points"
-
-
-def _percent(logarithm: float) -> str:
-    """Return the logarithm of a ratio as a change in per cent; one of more than a millionfold as such."""
-    return f"{100 * math.expm1(logarithm):+.1f}" if logarithm < math.log(1e6) else "> 10⁸"

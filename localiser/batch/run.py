@@ -204,7 +204,8 @@ def run_batch(
     own_map = map_id(read_map(batch.opening.map_file)) if batch.opening.map_file else ""
     logs = list(dict.fromkeys(batch.logs))
     with workers.ready():
-        opening = _absolute_opening(batch.opening)
+        files = {name: getattr(batch.opening, name) for name in ("map_file", "camera")}
+        opening = replace(batch.opening, **{name: path and path.absolute() for name, path in files.items()})
         read = each(_contents_at, [(number, log.absolute(), opening) for number, log in enumerate(logs)])
         contents = {logs[number]: found for number, found in read}
         runs = [_run_of(batch, log, contents[log], own_map, choice) for log in logs for choice in batch.choices]
@@ -293,8 +294,3 @@ def _row(run: _Run, figures: Row) -> Row:
     first = [name for name in FIRST_FIGURES if name in figures]
     others = sorted(figures.keys() - set(first) - run.about.keys(), key=lambda name: (is_time(name), name))
     return run.about | {name: figures[name] for name in [*first, *others]}
-
-
-def _absolute_opening(opening: Opening) -> Opening:
-    files = {name: path.absolute() for name in ("map_file", "camera") if (path := getattr(opening, name)) is not None}
-    return replace(opening, **files)

@@ -86,8 +86,12 @@ def plan_landmarks(plan: FloorPlan, name: str = "", source: str = "plan") -> Lan
     turns = sum(len(pieces) for _, pieces in traced)
     if turns > MOST_TURNS:
         raise ValueError(f"expected walls with at most {MOST_TURNS} corners, found outlines that turn {turns} times")
-    corners = [corners_of_outline(outline, pieces, bump) for outline, pieces in traced]
-    cells = merge_near(np.concatenate([np.zeros((0, 2)), *corners]))
+    corners = [np.zeros((0, 2))]
+    for outline, pieces in traced:
+        turning = _without_bumps(outline, pieces, bump)
+        if len(turning) >= _FEWEST_TURNS:
+            corners += [_corners_at(outline, turning, k) for k in range(len(turning))]
+    cells = merge_near(np.concatenate(corners))
     cells = cells[_beside_floor(cells, plan.free & ~occupied)]
     points = map_from_cells(plan, cells)
     # A side of a cell stands anywhere within one cell of the wall that it was drawn for.
@@ -127,17 +131,6 @@ def outlines(occupied: Mask) -> list[Array]:
     fine = cv2.dilate(fine, np.ones((3, 3), dtype=np.uint8)).astype(np.uint8)
     found, _ = cv2.findContours(fine, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     return [(contour.reshape(-1, 2) - 1).astype(np.float64) / 2 for contour in found if len(contour) > 3]
-
-
-def corners_of_outline(outline: Array, turns: NDArray[np.int64], bump: float) -> Array:
-    """Return the corners (C, 2) of a closed outline (K, 2), all in cells, of those points of it that are `turns`.
-
-    What sticks out less than `bump` is no corner.
-    """
-    turns = _without_bumps(outline, turns, bump)
-    if len(turns) < _FEWEST_TURNS:
-        return np.zeros((0, 2))
-    return np.concatenate([_corners_at(outline, turns, k) for k in range(len(turns))])
 
 
 def _straight_pieces(outline: Array) -> NDArray[np.int64]:

@@ -68,6 +68,11 @@ class Sightings:
                 own = np.hypot(own, by_turn * common.sigma_of(TURN_RATE))
             sigma.append(own)
         profile = _profiles([edges.profile for edges in frames if len(edges)])
+        side, middle = np.full((len(profile), 2), np.nan), profile.shape[1] // 2
+        if profile.shape[1] >= 2 * _SIDE:
+            # The samples next to the edge hold its blur, the outermost ones perhaps the next edge.
+            side[:, 0] = np.median(profile[:, middle - _SIDE : middle], axis=1)
+            side[:, 1] = np.median(profile[:, middle + 1 : middle + 1 + _SIDE], axis=1)
         ends_px = column("ends_px", (2, 2))
         # Edges that were not measured in an image may know their ends, and not what follows from them.
         slope_up, cut, foot_m = _by_mount(ends_px, frames, camera)
@@ -77,7 +82,7 @@ class Sightings:
             bearing=column("bearing"),
             sigma=np.concatenate(sigma),
             polarity=column("polarity").astype(np.int8),
-            side=_sides(profile),
+            side=side,
             slope_up=slope_up,
             cut=cut,
             foot_m=foot_m,
@@ -133,16 +138,6 @@ def _profiles(parts: Sequence[Array]) -> Array:
     width = max((part.shape[1] for part in parts), default=0)
     padded = [part if part.shape[1] == width else np.full((len(part), width), np.nan) for part in parts]
     return np.concatenate(padded) if padded else np.zeros((0, width))
-
-
-def _sides(profile: Array) -> Array:
-    """Return the median grey value (S, 2) left and right of the edge, nan where no profile is known."""
-    if profile.shape[1] < 2 * _SIDE:
-        return np.full((len(profile), 2), np.nan)
-    middle = profile.shape[1] // 2
-    # The samples next to the edge hold its blur, the outermost ones perhaps the next edge.
-    left, right = profile[:, middle - _SIDE : middle], profile[:, middle + 1 : middle + 1 + _SIDE]
-    return np.stack([np.median(left, axis=1), np.median(right, axis=1)], axis=-1)
 
 
 def _by_mount(ends_px: Array, frames: Sequence[Edges], camera: Camera) -> tuple[Array, NDArray[np.bool_], Array]:

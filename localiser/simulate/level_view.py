@@ -223,8 +223,11 @@ def spans_of(solids: Solids, hits: Hits, view: LevelView, columns: Columns, shel
     low = view.top - view.stop_row[columns.owner] / view.per_unit
     high = view.top - view.first_row[columns.owner] / view.per_unit
     solid = _candidates(scenery, low, high)
-    groups = _groups_by_count((solid >= 0).sum(axis=0))
-    parts = [_stack(scenery, view, columns, group, solid[:, group]) for group in groups]
+    # Columns with up to 2, 5, 10, 20, … candidates, so that few columns pay for many solids.
+    count = (solid >= 0).sum(axis=0)
+    limits = [-1, 2, 5, 10, 20, 40, max(41, int(count.max(initial=0)))]
+    groups = [np.flatnonzero((count > least) & (count <= most)) for least, most in pairwise(limits)]
+    parts = [_stack(scenery, view, columns, group, solid[:, group]) for group in groups if len(group)]
     return Spans(*(np.concatenate([getattr(part, name) for part in parts]) for name in Spans.__slots__))
 
 
@@ -242,13 +245,6 @@ def _candidates(scenery: _Scenery, low: Array, high: Array) -> NDArray[np.intp]:
     is_seen = np.isfinite(entry) & (entry <= wall) & (ends.min(axis=0) < high) & (ends.max(axis=0) > low)
     order = np.argsort(~is_seen, axis=0, kind="stable")[: int(is_seen.sum(axis=0).max(initial=0))]
     return np.where(np.take_along_axis(is_seen, order, axis=0), order, -1)
-
-
-def _groups_by_count(count: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Return indices of columns with up to 2, 5, 10, 20, … candidates, so that few columns pay for many solids."""
-    limits = [-1, 2, 5, 10, 20, 40, max(41, int(count.max(initial=0)))]
-    groups = [np.flatnonzero((count > low) & (count <= high)) for low, high in pairwise(limits)]
-    return [group for group in groups if len(group)]
 
 
 def _stack(
