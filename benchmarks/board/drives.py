@@ -10,7 +10,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from edge_scenes import Light
 from mrclam import MrclamReader
 from program import fingerprint
 
-from board import racks
+from board import floors, racks
 from localiser import LandmarkMap, Trajectory, open_log, read_config, simulate_log
 from localiser.mapping import build_map, edges_of_log
 from localiser.simulate import odometry_of
@@ -33,7 +33,10 @@ ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("LOCALISER_DATA", ROOT.parent / "shared" / "data"))
 KEPT = Path(os.environ.get("LOCALISER_SCOREBOARD", ROOT / "results" / "scoreboard"))
 MRCLAM = ROOT / "configs" / "mrclam.yaml"
-RENDERED = {"office": ROOT / "configs" / "worlds" / "office.yaml", "racks": None}
+RENDERED = {
+    "office": lambda: yaml.safe_load(floors.OFFICE.read_text(encoding="utf-8")),
+    "racks": partial(racks.world_of, 0),
+} | {f"floor{floor}": partial(floors.world_of, floor) for floor in range(floors.FLOORS)}
 EVERY_THIRD = slice(None, None, 3)
 REAL_MAPS = {
     "vicon even": ("vicon_room/left_even", "vicon_room/right_even"),
@@ -57,7 +60,7 @@ def log_of(name: str) -> Log:
         if name.startswith("mrclam"):
             return MrclamReader().read(DATA / name, ReadOptions(read_config(MRCLAM).sensor))
         return open_log(DATA / name)
-    world = yaml.safe_load(RENDERED[name].read_text(encoding="utf-8")) if RENDERED[name] else racks.world_of(0)
+    world = RENDERED[name]()
     text = yaml.safe_dump(world)
     made_by = hashlib.sha256((fingerprint("localiser/simulate") + text).encode()).hexdigest()[:12]
     folder = KEPT / "rendered" / f"{name}-{made_by}"
