@@ -34,6 +34,7 @@ from localiser.filter import (
     Level,
     Located,
     LocatedFrame,
+    Markers,
     Mcl,
     Odometry,
     Scene,
@@ -47,6 +48,7 @@ from localiser.filter import (
 from localiser.filter import warm_up as warm_up_filter
 from localiser.geometry import Array, Trajectory, Twist, finite_numbers
 from localiser.landmarks import LandmarkMap
+from localiser.markers import code_of
 from localiser.motion import MotionModel
 from localiser.observation import EdgeObservation, Observation
 from localiser.relocalisation import GlobalLocalisation
@@ -83,7 +85,8 @@ class Localiser:
     landmark_map: one, or several laid apart (`Site.beside`), which compete. Then poses are in the frame of the map that
     the robot is most likely on, `LocatedFrame.map_name`.
 
-    rng: the generator. state: what changes during a run. Raises InputError for settings that do not fit the camera.
+    rng: the generator. state: what changes during a run. markers: which are not where the map has them. Raises
+    InputError for settings that do not fit the camera.
     """
 
     def __init__(
@@ -106,6 +109,10 @@ class Localiser:
             raise InputError(f"expected a method `log_likelihood`, found {found} without one", field="observation")
         self._check = partial(check_settings, config, own_observation=observation is not None)
         self._check(camera)
+        named = {code_of(one["identity"])[1] for one in landmark_map.extra if "identity" in one}
+        if config.edges.markers and named - {config.edges.markers}:
+            problem = f"expected {named.pop()!r}, of which the map has markers, found {config.edges.markers!r}"
+            raise InputError(problem, field="edges.markers")
         self.rng, self.state = np.random.default_rng(self.config.seed), FilterState()
         self._camera, self._detector = camera, detector
         self._own = {"observation": observation, "motion": motion, "detector": detector}
@@ -116,7 +123,7 @@ class Localiser:
             level = Level(camera, math.radians(config.edges.plumb_sigma_deg))
             self._mcl = replace(self._mcl, odometer=Odometer(camera, config.increments), level=level)
         self._measured: dict[int, MeasuredImage] = {}
-        self._finding = Finding.on(landmark_map)
+        self._finding, self.markers = Finding.on(landmark_map), Markers()
 
     def _search(self) -> GlobalLocalisation | None:
         """Return global localisation, None where the observation has no such ability."""
@@ -347,6 +354,7 @@ class Localiser:
         frames, begin = [], perf_counter()
         for result in results:
             located, wide_cov = self._finding.after(result)
+            self.markers.after(located, self.landmark_map)
             measured = self._measured.pop(located.t_ns, None) or MeasuredImage(located.edges)
             stage_ms = measured.stage_ms | {"filter": 1e3 * (perf_counter() - begin)}
             frame = LocatedFrame(located, located.matches, measured.image, None, stage_ms, wide_cov)

@@ -24,6 +24,7 @@ from localiser.camera import Camera
 from localiser.edges.types import Segments
 from localiser.edges.views import Image, ideal_camera, ideal_view
 from localiser.geometry import Array
+from localiser.markers import DICTIONARIES
 
 
 class Detector(Protocol):
@@ -58,6 +59,13 @@ def registered(name: str) -> str:
 
 # -- settings ---------------------------------------------------------------------------------------------------------
 
+
+def _dictionary(name: str) -> str:
+    if name and name not in DICTIONARIES:
+        raise ValueError(f"expected one of {', '.join(DICTIONARIES)}, or nothing")
+    return name
+
+
 DetectorName = Annotated[
     str, AfterValidator(registered), Field(json_schema_extra=lambda schema: schema.update(enum=list(DETECTORS)))
 ]
@@ -84,6 +92,11 @@ class EdgeParameters:
     roll_sigma_deg: Annotated[
         float, Field(ge=0, le=10, description="how certain the camera's stated roll is (deg, 1 sigma)")
     ] = 0.3
+    markers: Annotated[
+        str,
+        AfterValidator(_dictionary),
+        Field(description="ArUco or AprilTag markers that are looked for too, such as tag36h11; empty: none"),
+    ] = ""
     plumb_sigma_deg: Annotated[
         float, Field(ge=0, le=5, description="how far a building's vertical edges are from plumb (deg, 1 sigma)")
     ] = 0.3

@@ -5,7 +5,7 @@ And how an image is exposed: too dark or washed out, by its grey levels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -22,9 +22,13 @@ from localiser.errors import InputError
 from localiser.geometry import Array, Twist
 from localiser.geometry.compiled import compiled
 from localiser.image_files import decode
+from localiser.markers import sides_of_markers
 
 END_SIGMA_PX = 0.5
 """Error of an end across the line, for detectors that do not state it."""
+
+MARKER_SIGMA_PX = 0.3
+"""The same of a marker's corner."""
 
 register("columns", Columns(EdgeParameters().min_contrast))
 register("lsd", lsd)
@@ -61,6 +65,13 @@ def find_edges(
         return replace(edges, ends_px=ends_px, rejected_px=rejected_px, length_px=2.0 * edges.length_px, mount=mount)
     found = (detector or _detector_of(parameters))(grey, camera)
     taken = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
+    code = np.full(len(taken), -1)
+    if parameters.markers:
+        lines, codes = sides_of_markers(grey, parameters.markers)
+        sides, code = _sides(lines, grey, camera), np.concatenate([code, codes])
+        taken = Segments(
+            *(np.concatenate([getattr(one, each.name) for one in (taken, sides)]) for each in fields(taken))
+        )
     segments, readout, turn_sigma_rad = taken, readout_of(camera, twist), np.zeros(len(taken))
     if readout is not None:
         segments, turn_sigma_rad = at_stamp(taken, readout)
@@ -76,11 +87,20 @@ def find_edges(
         kept = replace(kept, polarity=polarity_of_profiles(profiles(taken.ends_px[vertical], grey, camera)))
     edge = same_edge(kept, camera, error, parameters.gate_sigma)
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad, readout)
-    edges = edges.take(
-        (edges.length_px >= parameters.min_length_px) & has_direction(edges, plumb_sigma_rad, parameters.gate_sigma)
-    )
+    np.minimum.at(edges.landmark_id, edge, code[vertical])
+    is_long = edges.length_px >= parameters.min_length_px
+    is_sure = is_long & has_direction(edges, plumb_sigma_rad, parameters.gate_sigma)
+    edges = edges.take(is_sure | (edges.landmark_id < -1))
     rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
     return replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
+
+
+def _sides(lines: Array, grey: Image, camera: Camera) -> Segments:
+    """Return the upright sides (S, 2, 2) of markers as segments."""
+    segments = _segments_of_lines(lines.reshape(-1, 4), camera)
+    polarity = polarity_of_profiles(profiles(segments.ends_px, grey, camera))
+    error = np.full(len(lines), MARKER_SIGMA_PX)
+    return replace(segments, sigma_px=error, polarity=polarity)
 
 
 def _detector_of(parameters: EdgeParameters) -> Detector:

@@ -60,7 +60,8 @@ class Edges:
     foot_range_m, foot_range_sigma_m: (E,) floor distance of the foot from the camera, if the lower end is one; nan
         where that lies outside the image or above the horizon. An error of the mount is not part of the sigma.
     profile: (E, P) grey values across the edge from left to right, P may be 0.
-    landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only.
+    landmark_id: (E,) index of the true landmark in the map's order, or -1; known for simulated edges only. Below -1 it
+        is a side of a marker, see `markers`.
     common: errors shared by all edges of the frame.
     rejected_px: (R, 2, 2) segments that were found and are not vertical edges, to look at.
     mount: of the camera when it took this image, which bearings and ranges hold for; None: as the camera says. What

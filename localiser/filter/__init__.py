@@ -3,7 +3,7 @@
 from localiser.filter.attitude import MOUNT, Attitude, Level
 from localiser.filter.confidence import CORRECT_M, CORRECT_RAD, LEAST_SURE, NOT_FOUND, SURE
 from localiser.filter.events import Anywhere, Event, Located, Odometry, Start, track_of
-from localiser.filter.frames import Finding, Image, LocatedFrame
+from localiser.filter.frames import Finding, Image, LocatedFrame, Markers
 from localiser.filter.mcl import FilterState, Mcl, MclParameters, finish, step
 from localiser.filter.optimal_proposal import warm_up
 from localiser.filter.scene import Scene

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from localiser.filter.confidence import LEAST_SURE, NOT_FOUND, SURE
 from localiser.filter.events import Located
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import Matches
+from localiser.observation import Matches, marked_landmarks
 
 Image = NDArray[np.uint8] | bytes
 """Pixels (height, width) grey or (height, width, 3) BGR as OpenCV has them, or the bytes of a JPEG or PNG file."""
@@ -46,6 +47,38 @@ class LocatedFrame:
     def pose_cov(self) -> Array:
         """The covariance (3, 3) to tell others: the estimate's, or a wide one."""
         return self.located.estimate.pose_cov if self.wide_cov is None else self.wide_cov
+
+
+MOVED_IMAGES = 5  # that contradict a marker, and not one that agrees between two of them
+
+
+@dataclass(slots=True, eq=False)
+class Markers:
+    """Which markers are not where the map has them, by images whose pose is sure. off: images in succession."""
+
+    off: Counter[int] = field(default_factory=Counter)
+    moved: set[int] = field(default_factory=set)
+
+    def after(self, located: Located, landmark_map: LandmarkMap) -> None:
+        """Take one image."""
+        edges = located.edges if located.sighting is None else located.sighting.edges
+        if located.p_correct <= SURE or not (edges.landmark_id < -1).any():
+            return
+        landmark = marked_landmarks(edges, landmark_map)
+        agrees = landmark == located.matches.landmark
+        number = (-2 - edges.landmark_id) // 2
+        for one in np.unique(number[landmark >= 0]).tolist():
+            self.off[one] = 0 if agrees[(number == one) & (landmark >= 0)].any() else self.off[one] + 1
+        self.moved |= {one for one, count in self.off.items() if count >= MOVED_IMAGES}
+
+    def warnings(self, landmark_map: LandmarkMap) -> list[str]:
+        """Return what there is to say of markers, a text for each."""
+        names = Counter(one["identity"] for one in landmark_map.extra if "identity" in one)
+        twice = sorted({name.rpartition(":")[0] for name, count in names.items() if count > 1})
+        return [
+            *(f"Marker {name} is on the map twice: it tells no place." for name in twice),
+            *(f"Marker {one} is not where the map has it: was it moved, or hung twice?" for one in sorted(self.moved)),
+        ]
 
 
 @dataclass(slots=True, eq=False)

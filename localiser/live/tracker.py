@@ -233,6 +233,8 @@ class Tracker:
             stated_m = localiser.camera.at(found.located.edges.mount).mount.height_m
             if off := found.located.height.warning(stated_m):
                 self.outputs.monitor.warn("height", off)
+        for text in localiser.markers.warnings(localiser.landmark_map):
+            self.outputs.monitor.warn(text.partition(" is ")[0].lower(), text)
         self.outputs.located(found, self._published(frame, found), plain_frame(frame.message.header.frame_id))
         self._costs_s.append(time.perf_counter() - begin)
         if self.checkpoints is not None:

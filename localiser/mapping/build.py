@@ -40,6 +40,7 @@ from localiser.mapping.recorded import (
 from localiser.mapping.sightings import Index, Sightings
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import MappingParameters, follow
+from localiser.markers import name_of
 from localiser.motion import MotionParameters
 
 # -- what can be mapped -----------------------------------------------------------------------------------------------
@@ -222,8 +223,20 @@ def build_map(
     if len(logs) == 1:
         header |= {DRIVE: drive_header(logs[0], trajectory)}
     kept = np.array(landmark_map.ids, dtype=np.int64)
-    landmark_map = replace(landmark_map, ids=tuple(range(len(kept))), header=header)
+    extra = _identities(sightings, built, kept, config.edges.markers)
+    landmark_map = replace(landmark_map, ids=tuple(range(len(kept))), header=header, extra=extra)
     return MapBuilt(landmark_map, kept, trajectory, sightings, built, [one.edges for one in seen], slam)
+
+
+def _identities(sightings: Sightings, built: Built, kept: Index, dictionary: str) -> tuple[dict[str, Any], ...]:
+    """Return what the landmarks at `kept` (K,) are called: as the side of a marker that most images show there."""
+    extra: tuple[dict[str, Any], ...] = tuple({} for _ in kept)
+    for own, landmark in zip(extra, kept, strict=True):
+        codes, count = np.unique(sightings.marker[built.of == landmark], return_counts=True)
+        told = codes < -1
+        if told.any() and 2 * count[told].max() > count[told].sum():
+            own["identity"] = name_of(int(codes[told][count[told].argmax()]), dictionary)
+    return extra
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,9 +25,9 @@ class Sightings:
     first: (T + 1,) where each frame's edges begin. frame: (S,). bearing, sigma: (S,) rad, in the camera's level frame.
     polarity: (S,). side: (S, 2) grey values left and right of the edge, nan where unknown.
     slope_up: (S, 2) height above the camera of the lower and the upper end per metre ahead. cut: (S, 2) whether
-    that end lies at the image's border, so that the edge may go on. foot_m: (S,) range of the foot if it
-    stands on the floor, nan where no foot is seen. profile: (S, P). mounts: (T,) of the camera at each frame, None: as
-    the camera says; empty where it always is so.
+    that end lies at the image's border, so that the edge may go on. foot_m: (S,) range of the foot if it stands on the
+    floor, nan where no foot is seen. profile: (S, P). marker: (S,) side of a marker, see `markers`, -1 for none.
+    mounts: (T,) of the camera at each frame, None: as the camera says; empty where it always is so.
     """
 
     first: Index
@@ -40,6 +40,7 @@ class Sightings:
     cut: NDArray[np.bool_]
     foot_m: Array
     profile: Array
+    marker: Index
     mounts: tuple[Mount | None, ...] = ()
 
     def __len__(self) -> int:
@@ -87,6 +88,7 @@ class Sightings:
             cut=cut,
             foot_m=foot_m,
             profile=profile,
+            marker=np.minimum(column("landmark_id").astype(np.int64), -1),
             mounts=_mounts(frames),
         )
 

@@ -7,7 +7,7 @@ from localiser.observation.edge_observation import EdgeObservation
 from localiser.observation.endpoint_likelihood import MISSED, at_border, end_per_height, ends_lower_first
 from localiser.observation.endpoint_likelihood import SIGMA_PX as ENDPOINT_SIGMA_PX
 from localiser.observation.inlier_rate import INLIER_RATES, InlierRate, log_sum_of_rates
-from localiser.observation.likelihood import View
+from localiser.observation.likelihood import View, marked_landmarks, sides_on
 from localiser.observation.near_landmarks import NearLandmarks
 from localiser.observation.parameters import ObservationParameters, novelty_of
 from localiser.observation.sighting import (

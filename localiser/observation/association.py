@@ -19,7 +19,7 @@ from localiser.landmarks import LandmarkMap, image_heights, in_camera, sight, si
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation.angle import Angle
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
-from localiser.observation.likelihood import GATE_SIGMAS, MEAN_POLARITY
+from localiser.observation.likelihood import GATE_SIGMAS, MEAN_POLARITY, marked_landmarks
 from localiser.observation.parameters import ObservationParameters
 from localiser.observation.sighting import Matches, Sighting, Targets
 
@@ -113,7 +113,10 @@ class Association:
         measured, measured_var = angle.measured(edges)
         variance = expected.variance + extra_var
         pair, edge = pairs_near(measured, measured_var, expected.angle, variance)
-        shared = np.full(len(pair), expected.count)
+        marked = marked_landmarks(edges, landmark_map)[edge]
+        said = (marked < 0) | (marked == expected.landmark[pair])  # a marker's side is that landmark, or clutter
+        pair, edge = pair[said], edge[said]
+        shared = np.where(marked[said] >= 0, 1.0, expected.count)
         if parameters.association == "known":  # an edge is of the landmark that it names, or clutter
             said = edges.landmark_id[edge] == expected.landmark[pair]
             pair, edge, shared = pair[said], edge[said], np.ones(int(said.sum()))

@@ -9,6 +9,7 @@ depends on that particle alone, whatever number of threads share the work.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ from localiser.landmarks import (
     sigmas_m,
     widest_tangent,
 )
+from localiser.markers import code_of
 from localiser.observation import endpoint_likelihood as endpoints
 from localiser.observation.angle import Angle
 from localiser.observation.parameters import ObservationParameters
@@ -85,15 +87,34 @@ class EdgeTable:
     missed: float
 
 
+def marked_landmarks(edges: Edges, landmark_map: LandmarkMap) -> NDArray[np.int64]:
+    """Return the landmark (E,) that each edge is by the marker whose side it is; -1 for others.
+
+    A side that the map has twice tells none of them.
+    """
+    if not (edges.landmark_id < -1).any():
+        return np.full(len(edges), -1)
+    of = kept_with(landmark_map, ("markers",), lambda: sides_on(landmark_map))
+    return np.array([of.get(code, -1) for code in edges.landmark_id.tolist()], dtype=np.int64)
+
+
+def sides_on(landmark_map: LandmarkMap) -> dict[int, int]:
+    """Return the landmark of each marker's side that the map has once. Raises InputError for a name that is none."""
+    names = [(k, one["identity"]) for k, one in enumerate(landmark_map.extra) if "identity" in one]
+    codes = [(k, code_of(name)[0]) for k, name in names]
+    count = Counter(code for _, code in codes)
+    return {code: k for k, code in codes if count[code] == 1}
+
+
 @lru_cache(maxsize=64)  # the same edges are weighed several times in a frame, and when places are proposed later
-def edge_table(angle: Angle, edges: Edges, blur_rad: float, identified: bool) -> EdgeTable:
+def edge_table(angle: Angle, edges: Edges, blur_rad: float, identified: bool, landmark_map: LandmarkMap) -> EdgeTable:
     """Return the table of edges. blur_rad: sigma that is added to every edge's own.
 
     identified: whether edges are of the landmark that they name, and of none where they name none.
     """
     measured, variance = angle.measured(edges)
     known = np.isfinite(measured) & np.isfinite(variance)
-    identity = np.full(len(edges), -1.0)
+    identity = marked_landmarks(edges, landmark_map).astype(np.float64)
     if identified:
         known, identity = known & (edges.landmark_id >= 0), edges.landmark_id.astype(np.float64)
     # Edges of which this observation knows nothing go to the end: no landmark comes near them.
@@ -150,7 +171,7 @@ def by_views(
     columns: (4, N) x, z, heading of the robot, and by how much the camera's yaw differs from the mount's.
     """
     count, threads = columns.shape[1], parameters.threads
-    table = edge_table(angle, sighting.edges, blur_rad, parameters.association == "known")
+    table = edge_table(angle, sighting.edges, blur_rad, parameters.association == "known", landmark_map)
     mount, sight = angle.camera.mount, parameters.sight
     landmarks = _landmarks(landmark_map, mount.height_m, parameters.landmark_sigma_m, sighting.map_scale)
     offset, (seen, widest) = (mount.right_m, mount.back_m, mount.yaw_rad), _view(angle.camera, sight)

@@ -34,7 +34,7 @@ from localiser.particles import (
     only,
 )
 from localiser.relocalisation.candidates import Candidates
-from localiser.relocalisation.hypotheses import Feet, are_known, feet_of, poses_of
+from localiser.relocalisation.hypotheses import Feet, are_known, feet_of, from_markers, poses_of
 from localiser.relocalisation.places import Places, Region
 
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
@@ -43,6 +43,7 @@ MOST_EDGES = 48  # that poses are proposed from; all of them weigh these
 POWER = 0.5  # of the likelihood: edges of an image err together, which the clutter model does not know
 HYPOTHESES, PER_BOX = 12_500, 10  # tried by one image; poses drawn around each of the best
 BOX = np.array([CELL_M, CELL_M, CELL_RAD])  # around a hypothesis: m, m, rad
+MARKER_HITS = 3.0  # how many poses near the true one a marker gives that is where the map has it
 BLUR_RAD = np.radians(0.3)  # how far from each other the particles of one place may be
 SEARCH_BLUR_RAD = np.radians(0.4)  # how far off the bearings of a hypothesis may be
 WIDER_RAD = np.radians([1.4, 0.65])  # the same of poses that are drawn around it, step by step
@@ -151,6 +152,10 @@ class GlobalLocalisation:
         pose, if it is in the region.
         """
         tried, hits = poses_of(clues.feet, self.places, round(effort * HYPOTHESES), rng)
+        by_marker = clues.feet.robot_poses(from_markers(clues.feet.camera, clues.sighting.edges, self.landmark_map))
+        by_marker = by_marker[self.places.region.contains(by_marker)]
+        if len(by_marker):
+            tried, hits = np.concatenate([by_marker, tried]), hits + MARKER_HITS
         if len(tried) == 0:
             return None, hits
         count = max(round(effort * self.parameters.fresh), 1)

@@ -1,4 +1,4 @@
-"""Pose hypotheses: poses at which chosen edges would be chosen landmarks, by two feet or by three bearings.
+"""Pose hypotheses: poses at which chosen edges would be chosen landmarks: two feet, three bearings, or a marker.
 
 Each function draws as many hypotheses as requested, at random among all combinations that do not contradict the
 measurements. A random part of a large set keeps one image cheap; the next image draws another part.
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, between, compose
-from localiser.observation import ENDPOINT_SIGMA_PX, Angle, end_per_height, ends_lower_first
+from localiser.geometry import Array, between, compose, forward, wrap_angle
+from localiser.landmarks import LandmarkMap
+from localiser.observation import ENDPOINT_SIGMA_PX, Angle, end_per_height, ends_lower_first, marked_landmarks
 from localiser.relocalisation.places import BOTTOM_STEP_M, Indices, Places
 from localiser.relocalisation.resection import from_three_bearings, from_two_bearings
 
@@ -24,6 +25,7 @@ NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardl
 FEWEST_TRIED = 4  # pairs of edges
 # Part of the pairs, and of the triples, of edges that are all landmarks and pass the gates at the true pose.
 BOTH_RIGHT, ALL_RIGHT = 0.3, 0.16
+MOST_ASLANT_DEG, ASLANT_STEP_DEG = 75.0, 2.5  # directions from which a marker is read: 0.13 m apart at 3 m
 WORST_RANGE = 0.25  # relative error of a range that still tells something
 
 
@@ -176,6 +178,26 @@ def from_bearings(feet: Feet, places: Places, count: int, rng: np.random.Generat
     edges, landmarks = _drawn(len(feet), count, rng), _drawn(len(places), count, rng)
     cameras = from_three_bearings(places.points[landmarks], feet.bearing[edges])
     return feet.robot_poses(cameras[np.isfinite(cameras).all(axis=1)]), ALL_RIGHT * count / triples
+
+
+def from_markers(camera: Camera, edges: Edges, landmark_map: LandmarkMap) -> Array:
+    """Return camera poses (K, 3) from which a marker that the map has shows both its sides where they are seen.
+
+    From everywhere on a circle through both sides they are as far apart. So there are poses for each direction from
+    which the marker can be read.
+    """
+    marked, poses = marked_landmarks(edges, landmark_map), []
+    for left in np.flatnonzero((marked >= 0) & (edges.landmark_id % 2 == 0)):  # those are the left sides
+        for right in np.flatnonzero((edges.landmark_id == edges.landmark_id[left] - 1) & (marked >= 0)):
+            ends, bearing = landmark_map.points[marked[[left, right]]], edges.bearing[[left, right]]
+            across, apart = ends[1] - ends[0], bearing[1] - bearing[0]
+            if apart > 0:
+                turn = np.deg2rad(np.arange(-MOST_ASLANT_DEG, MOST_ASLANT_DEG + 1, ASLANT_STEP_DEG))
+                range_m = np.hypot(*across) * np.cos(turn) / apart
+                towards = np.arctan2(-across[1], across[0]) + turn  # heading of who looks at its middle
+                middle = ends.mean(axis=0) - range_m[:, None] * forward(towards)
+                poses.append(np.column_stack([middle, wrap_angle(towards + bearing.mean())]))
+    return np.concatenate([*poses, np.zeros((0, 3))])
 
 
 def _drawn(size: int, count: int, rng: np.random.Generator) -> Indices:

@@ -147,6 +147,7 @@ def run_metrics(run: Results) -> dict[str, Any]:
     height, height_warnings = _height(run)
     clock, clock_warnings = _clock(run)
     warnings += clock_warnings + _light_warnings(run) + _filter_warnings(run) + _silence_warnings(run)
+    warnings += run.localiser.markers.warnings(run.localiser.landmark_map)
     if run.localiser.config.increments.source != "vision" and (jumped := jump_text(run.log)):
         warnings.append(jumped)
     in_view, matched = (summary.landmark_use > 0).T

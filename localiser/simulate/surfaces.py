@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import cv2
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.errors import InputError
 from localiser.geometry import Array
+from localiser.markers import DICTIONARIES
 from localiser.simulate.solids import Solids
 from localiser.simulate.world import Light, Material
 
@@ -76,6 +78,8 @@ def atlas_of(materials: Mapping[str, Material]) -> Atlas:
     for name, material in materials.items():
         rng = np.random.default_rng(zlib.crc32(name.encode()))
         texture, default_m = _TEXTURES[material.texture]
+        if material.texture == "marker":
+            texture = partial(texture, material.number)
         shade, side_m = texture(material.size_m or default_m, material.contrast, rng)
         colour = np.array(material.colour, dtype=np.float32)
         tinted = shade * colour if shade.ndim == 3 else shade[..., None] * colour
@@ -215,7 +219,17 @@ def _picture(size_m: float, contrast: float, rng: np.random.Generator) -> Textur
     return np.asarray(picture, dtype=np.float32), size_m
 
 
-_TEXTURES: dict[str, tuple[Callable[[float, float, np.random.Generator], Texture], float]] = {
+def _marker(number: int, size_m: float, _contrast: float, _rng: np.random.Generator) -> Texture:
+    """An AprilTag of 8 × 8 cells on paper that is a cell wider on each side."""
+    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES["tag36h11"])
+    tag = cv2.copyMakeBorder(
+        cv2.aruco.generateImageMarker(dictionary, number, 8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=255
+    )
+    fine = cv2.resize(tag, (TILE_PX, TILE_PX), interpolation=cv2.INTER_NEAREST)
+    return (0.08 + 0.92 * fine / 255.0).astype(np.float32), size_m
+
+
+_TEXTURES: dict[str, tuple[Callable[..., Texture], float]] = {
     "plain": (_plain, 2.0),
     "plaster": (_plaster, 1.5),
     "carpet": (_carpet, 1.0),
@@ -225,6 +239,7 @@ _TEXTURES: dict[str, tuple[Callable[[float, float, np.random.Generator], Texture
     "planks": (_planks, 0.14),
     "tiles": (_tiles, 0.4),
     "picture": (_picture, 0.8),
+    "marker": (_marker, 0.25),
 }
 """Each texture with its size_m where a material states none."""
 

@@ -219,12 +219,16 @@ Colour = Annotated[
 
 
 class Material(Model):
-    """What a surface looks like. size_m: of one board, tile, brick, stripe or picture; each texture has its own."""
+    """What a surface looks like. size_m: of one board, tile, brick, stripe or picture; each texture has its own.
 
-    texture: Literal["plain", "plaster", "wallpaper", "brick", "wood", "planks", "tiles", "carpet", "picture"]
+    number: of the AprilTag (tag36h11) that a `marker` is: size_m with its white rim, a tenth of that on each side.
+    """
+
+    texture: Literal["plain", "plaster", "wallpaper", "brick", "wood", "planks", "tiles", "carpet", "picture", "marker"]
     colour: Colour
     size_m: Positive | None = None
     contrast: Annotated[float, Field(ge=0, le=1)] = 0.5
+    number: Annotated[int, Field(ge=0, lt=587)] = 0
 
 
 class Leaf(Model):

@@ -20,6 +20,7 @@ from localiser.documents import Document, dump, is_name, parse, plain_name, read
 from localiser.errors import InputError
 from localiser.geometry import Array, private_folder, read_kept, write_kept
 from localiser.landmarks import FRAME, LandmarkMap, Quality
+from localiser.markers import code_of
 from localiser.storage.checkpoint import decode, encode, form_of
 from localiser.storage.files import MAP, inside, refuse_other
 from localiser.storage.site import Site
@@ -246,6 +247,11 @@ def _check_landmarks(document: Document, landmarks: list[LandmarkFile]) -> None:
             raise document.error(
                 ("landmarks", index, "id"), f"expected an id of its own, found {landmark.id!r} as in line {line}"
             )
+        if (identity := (landmark.model_extra or {}).get("identity")) is not None:
+            try:
+                code_of(identity)
+            except InputError as error:
+                raise document.error(("landmarks", index, "identity"), error.problem) from None
         if landmark.top_m < landmark.bottom_m:
             raise document.error(
                 ("landmarks", index, "top_m"),

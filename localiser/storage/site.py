@@ -60,6 +60,7 @@ class Site(LandmarkMap):
             top_m=joined("top_m"),
             polarity=joined("polarity").astype(np.int8),
             source=tuple(source for one in maps for source in one.source),
+            extra=tuple(one for each in maps for one in (each.extra or ({},) * len(each))),
             laid=tuple(maps),
             origins=origins,
         )
