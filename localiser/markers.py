@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.errors import InputError
-from localiser.geometry import Array
 
 DICTIONARIES = {
     name.removeprefix("DICT_").lower().replace("apriltag_", "tag"): getattr(cv2.aruco, name)
@@ -29,7 +28,7 @@ _NAME = re.compile(r"([a-z0-9_]+):(\d{1,5}):(left|right)")
 _LEAST_PX = 8.0  # of an upright side
 
 
-def sides_of_markers(image: NDArray[np.uint8], dictionary: str) -> tuple[Array, NDArray[np.int64]]:
+def sides_of_markers(image: NDArray[np.uint8], dictionary: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return both upright sides of the markers in a grey image as lines (S, 2, 2), lower end first, and numbers (S,).
 
     A marker that is not hung upright, to 45°, has none.

@@ -54,7 +54,7 @@ class RrdFile:
         from localiser.view.recorder import Recorder, new_stream
 
         stream = new_stream(self._context)
-        file = RecordingFile(self._path, stream, blueprint(self._context))
+        file = RecordingFile(self._path, stream, blueprint(self._context.of_first_map))
         return Recorder(stream, self._context), file
 
     def frame(self, frame: LocatedFrame) -> None:

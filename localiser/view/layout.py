@@ -57,7 +57,7 @@ def _world(context: Context, margin_m: float) -> rrb.Spatial3DView:
 
 def _eye(context: Context, margin_m: float) -> tuple[Array, Array]:
     """Return target and position (3,) of an eye that has map and truth in sight, map -z up on the screen."""
-    points = context.landmark_map.maps[0].points
+    points = context.landmark_map.points
     if context.truth is not None:
         points = np.concatenate([points, context.truth.poses[:, :2]])
     low, high = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m

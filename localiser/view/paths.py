@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
@@ -60,6 +60,11 @@ class Context:
     truth: Trajectory | None = None
     images: bool = True
     application: str = "localiser"
+
+    @property
+    def of_first_map(self) -> Context:
+        """The same of the first of several maps."""
+        return replace(self, landmark_map=self.landmark_map.maps[0])
 
     @property
     def landmark_ends(self) -> Array:

@@ -134,7 +134,7 @@ class LiveView:
 
         stream = new_stream(self._context)
         encoded = rr.binary_stream(stream)
-        stream.send_blueprint(blueprint(self._context))
+        stream.send_blueprint(blueprint(self._context.of_first_map))
         recorder = Recorder(stream, self._context)
         try:
             while log := self._next():
