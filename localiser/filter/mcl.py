@@ -335,6 +335,7 @@ def _contradicted(
     if not len(sighting.edges) or not len(seen.edges) or state.particles is None:
         return None
     few, level = thinned(state.particles, FEW_TOLD), replace(image.sighting, persistent=None)
+    before, now = (replace(one, edges=one.edges.longest(MOST_EDGES)) for one in (seen, sighting))
 
     def by_map(motion: Increment) -> float:
         cloud = mcl.moved(few, [motion], rng)
@@ -342,15 +343,14 @@ def _contradicted(
         return float(log_sum(cloud.log_weight + fit) - log_sum(cloud.log_weight))
 
     def by_last_image(motion: Increment) -> float:
-        last = EarlierImage(seen, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
-        return float(np.log(observation.scene_clutter(sighting, [last])[0]).sum())
+        last = EarlierImage(before, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
+        return float(np.log(observation.scene_clutter(now, [last])[0]).sum())
 
-    before, after = (one.edges.longest(MOST_EDGES) for one in (seen, sighting))
     state.wheels, motion = state.wheels.after(
-        Evidence(odometer, before, after, by_map, by_last_image),
+        Evidence(odometer, before.edges, now.edges, by_map, by_last_image),
         increment,
         covariance_of(mcl.motion, increment),
-        (by_map(increment), image.jump.log_density),
+        (by_map(increment), by_last_image(increment)),
         odometer.parameters,
         seconds,
     )

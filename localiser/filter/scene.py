@@ -56,13 +56,12 @@ class Jump:
     """How new an image is, and whether the robot was carried since the last one.
 
     novelty: of the scene, 0 … 1, by the way. log_ratio: log p(edges | carried) / p(edges | not carried).
-    path_m: driven since the last image. log_density: of the edges, as those of the last image predict them.
+    path_m: driven since the last image.
     """
 
     novelty: float
     log_ratio: float = 0.0
     path_m: float = 0.0
-    log_density: float = 0.0
 
     def carried(self, chance: float) -> float:
         """Return the probability of having been carried, whose prior `chance` is that between two scenes."""
@@ -98,14 +97,13 @@ class Scene:
         earlier = [one.before(now, motion) for one in images[: max(back - first, 1)][::-1]]
         density, _ = observation.scene_clutter(sighting, earlier)
         if images:
-            log_ratio, log_density = 0.0, 0.0
+            log_ratio = 0.0
             if len(sighting.edges):
-                by_last, continuing = observation.scene_clutter(sighting, [images[-1].before(now, motion)])
-                log_density = float(np.log(by_last).sum())
+                _, continuing = observation.scene_clutter(sighting, [images[-1].before(now, motion)])
                 log_ratio, fraction = _log_carried(continuing, usual)
                 usual = MEMORY * usual + (1.0 - MEMORY) * fraction
             novelty = increment.path_m / SCENE_M + increment.turned_rad / SCENE_RAD
-            jump = Jump(float(min(novelty, 1.0)), log_ratio, float(increment.path_m), log_density)
+            jump = Jump(float(min(novelty, 1.0)), log_ratio, float(increment.path_m))
         if len(images) > 1 and away[-2] < APART:
             images = images[:-1]
         if jump.log_ratio > WHOLLY_NEW:

@@ -25,15 +25,18 @@ from localiser.observation import (
     own_log_likelihood,
 )
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
+from localiser.relocalisation import BLUR_RAD
+
+FEW = 512  # particles that tell how well an image fits the place that they are at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighed:
     """Particles that an image has weighed, and what it says of their place.
 
-    particles: after the image. inliers: what is then known of the inlier rate. before: particles that the image had not
-    weighed yet. by_rate, shown_by_rate: (K, N) log p(edges | particle, p_k) of these for every detection rate, where
-    all landmarks in view may show, and where some are hidden; None with an observation of one's own.
+    particles: after the image. inliers: what is then known of the inlier rate. before: some particles that the image
+    had not weighed yet. by_rate, shown_by_rate: (K, N) log p(edges | particle, p_k) of these for every detection rate,
+    where all landmarks in view may show, and where some are hidden; None with an observation of one's own.
     """
 
     particles: Particles
@@ -67,11 +70,11 @@ class Tempering:
         from stage to stage.
         """
         coarser_rad: float | None = None
-        (sharp, *of_place), before = self._by_views(moved), moved
+        of_place = self._of_place(moved)
         for blur_rad in self._blurs(moved) if is_first else [0.0]:
             left = self.novelty
             for stage in range(MOST_STAGES):
-                by_rate = sharp if moved is before and blur_rad == 0 else self._by_rate(moved, blur_rad)
+                by_rate = self._by_rate(moved, blur_rad)
                 log_likelihood = self.inliers.log_mean(by_rate)
                 if coarser_rad is not None:  # which the particles have been weighed by already
                     log_likelihood = log_likelihood - self.inliers.log_mean(self._by_rate(moved, coarser_rad))
@@ -89,7 +92,7 @@ class Tempering:
                 if left <= 0:
                     break
             coarser_rad = blur_rad
-        return Weighed(weighed, self.inliers.given(by_rate, weighed.weight, self.novelty), before, *of_place)
+        return Weighed(weighed, self.inliers.given(by_rate, weighed.weight, self.novelty), *of_place)
 
     def _by_rate(self, moved: Particles, blur_rad: float = 0.0) -> Array:
         if isinstance(self.observation, EdgeObservation):
@@ -97,17 +100,14 @@ class Tempering:
         found = own_log_likelihood(self.observation, moved, self.sighting, self.landmark_map)
         return np.tile(found, (len(INLIER_RATES), 1))  # the same whatever the rate
 
-    def _by_views(self, moved: Particles) -> list[Array]:
-        """Return `_by_rate`; where a place is judged, `by_rate` and `shown_by_rate` of `Weighed` too."""
+    def _of_place(self, moved: Particles) -> tuple[Particles, Array | None, Array | None]:
+        """Return some of the particles, and of edges where a place is judged what they say of it, as in `Weighed`."""
+        few = particles.thinned(moved, FEW)
         if not isinstance(self.observation, EdgeObservation) or self.visible is None:
-            return [self._by_rate(moved)]
-        scene = self.sighting.scene
-        views = [
-            View(INLIER_RATES, True, self.sighting.persistent),
-            View(DETECTION_RATES, False, scene),
-            View(DETECTION_RATES, False, scene, self.visible),
-        ]
-        return self.observation.by_views(moved, self.sighting, self.landmark_map, views)
+            return few, None, None
+        views = [View(DETECTION_RATES, False, self.sighting.scene, visible) for visible in (None, self.visible)]
+        by_rate, shown = self.observation.by_views(few, self.sighting, self.landmark_map, views, BLUR_RAD)
+        return few, by_rate, shown
 
     def _blurs(self, moved: Particles) -> list[float]:
         """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.
