@@ -43,7 +43,7 @@ _OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}(\.[0-9a-f]{8})?")  # the latter: a dra
 
 def entry(function: F) -> F:
     """Compile a loop over particles that Python calls; its machine code is kept. See `compiled`."""
-    return cast(F, _kept(function, is_entry=True))
+    return cast(F, _kept(function, True))
 
 
 def inlined(function: F) -> F:
@@ -56,7 +56,7 @@ def compiled(function: F) -> F:
 
     A decorator, or called where the loop is first needed: the same function is compiled once.
     """
-    return cast(F, _kept(function, is_entry=False))
+    return cast(F, _kept(function, False))
 
 
 def part(function: F) -> F:

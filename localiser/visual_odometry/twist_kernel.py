@@ -375,8 +375,11 @@ def solve(  # noqa: PLR0912  (one unknown after another)
             for i in range(size + 2):
                 for j in range(size + 3):
                     own[m, i, j] = 0.0
-                    for r in range(5):
-                        own[m, i, j] += weight[m] * rows[r, i] * rows[r, j]
+                for r in range(5):
+                    scaled = weight[m] * rows[r, i]
+                    if scaled != 0.0:
+                        for j in range(size + 3):
+                            own[m, i, j] += scaled * rows[r, j]
             eliminate(own[m], 2)
             for i in range(size):
                 for j in range(size + 1):
