@@ -19,7 +19,7 @@ import numpy as np
 from localiser.camera import Camera
 from localiser.documents import write_all
 from localiser.errors import OutputError
-from localiser.filter import Located, LocatedFrame
+from localiser.filter import SURE, Located, LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.live.inbox import Arrival, type_of
@@ -30,6 +30,7 @@ from localiser.ros import Frames, Message, Outgoing, Output
 from localiser.storage.bags import DECISIONS_TOPIC, TEXT, BagRecorder, Messages
 
 MOST_LINES = 1000
+RADIUS_95 = 2.4477  # sigmas of a position in two directions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +65,10 @@ class Published:
             "edges": len(located.edges),
             "p_correct": round(float(located.p_correct), 4),
             "latency_ms": round(self.latency_ms, 3),
+            # As VDA 5050 has them; 95 % of the positions are within the range.
+            "localized": bool(located.p_correct > SURE),
+            "localizationScore": round(float(located.p_correct), 4),
+            "deviationRange": round(float(RADIUS_95 * np.sqrt(np.linalg.eigvalsh(estimate.pose_cov[:2, :2])[1])), 4),
         } | ({"map": self.map_name} if self.map_name else {})
         return json.dumps(data | ({} if self.error_m is None else {"error_m": round(self.error_m, 6)}))
 
@@ -96,7 +101,7 @@ class JsonLines:
                 write_all(partial(os.write, self._descriptor), f"{line}\n".encode())
 
 
-RECORDED = frozenset(("tf", "diagnostics"))
+RECORDED = frozenset(("tf", "diagnostics", "places"))
 """What is made for a recording also when nobody listens, as is what is latched; a replay makes the rest again."""
 
 Record = Callable[[str, str, bytes], None]

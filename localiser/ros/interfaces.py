@@ -52,6 +52,7 @@ OUTPUTS = {
     "landmarks": Output("/localiser/landmarks", MARKERS, latched=True, depth=1),
     "matches": Output("/localiser/matches", MARKERS),
     "path": Output("/localiser/path", PATH),
+    "places": Output("/localiser/places", TEXT),
     "image": Output("/localiser/image/compressed", COMPRESSED),
     "diagnostics": Output("/diagnostics", DIAGNOSTICS),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -100,6 +101,7 @@ def _draw(pixels: NDArray[np.uint8], lines: Array, colour: Colour, width: int) -
 
 
 MOST_PARTICLES = 300
+LEAST_PLACE = 0.02  # weight from which on a place is told
 MOST_POSES = 1000  # of the path
 STEP_M, STEP_RAD = 0.1, np.deg2rad(10.0)
 """How far a robot moves or turns between two poses of the path."""
@@ -269,6 +271,7 @@ class Outgoing:
             "pose": lambda: self._pose(frame, stamp_ns),
             "particles": lambda: self._particles(frame.located, stamp_ns),
             "matches": lambda: match_markers(self._make, frame, self._ends, self.camera, stamp_ns, self.map_frame),
+            "places": lambda: self._make.text(json.dumps(places_of(frame, self.landmark_map))),
             "path": lambda: self._path.message(self._make, stamp_ns, self.map_frame),
             "image": lambda: annotated(self._make, frame, self._ends, self.camera, stamp_ns, self.frames.camera),
             "diagnostics": lambda: diagnostics(self._make, frame, stamp_ns, facts or {}),
@@ -317,6 +320,25 @@ class Outgoing:
         poses = spread_out(located)
         here = self._make.poses(poses[self.landmark_map.is_on(self._map_name, poses)])
         return self._make.make(POSES, header=header(stamp_ns, self.map_frame), poses=here)
+
+
+def places_of(frame: LocatedFrame, landmark_map: LandmarkMap) -> list[dict[str, Any]]:
+    """Return the places where the robot may be, each with its map, pose and probability, the likeliest first.
+
+    What is missing from 1 is the probability that it is at none of them.
+    """
+    located, clusters = frame.located, frame.located.clusters
+    if clusters is None or not len(clusters):
+        return []
+    own = int(np.hypot(*(clusters.mean - located.estimate.pose)[:, :2].T).argmin())
+    known = min(located.p_correct / max(float(clusters.weight[own]), 1e-9), 1.0)
+    found, origin = [], landmark_map.origin(frame.map_name)
+    for weight, mean in zip(clusters.weight, clusters.mean + origin, strict=True):
+        if weight >= LEAST_PLACE:
+            name = landmark_map.map_at(mean)
+            pose = dict(zip(("x", "z", "heading"), (mean - landmark_map.origin(name)).tolist(), strict=True))
+            found.append({"map": name, **pose, "probability": round(float(weight) * known, 4)})
+    return found
 
 
 def spread_out(located: Located) -> Array:

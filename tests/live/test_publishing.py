@@ -34,6 +34,7 @@ def test_all_that_is_heard_goes_out_and_nothing_else() -> None:
     fed(Publisher(transport, outputs_named()))([*camera(), *drive(4)])
     assert transport.kinds() == {f"/{name}" for name in (
         "localiser/pose", "tf", "localiser/particles", "localiser/map", "localiser/landmarks", "localiser/matches",
+        "localiser/places",
         "localiser/path", "localiser/image/compressed", "diagnostics",
     )}  # fmt: skip
     few = KeepingTransport(heard={"/tf"})

@@ -40,6 +40,12 @@ def test_poses_go_out_in_the_frame_of_the_map_that_is_believed(
     truth = LOG.groundtruth.at(feed.times[-1])
     assert line["map"] == "up stairs" and line["p_correct"] > 0.9
     assert [line["x"] - SHIFT[0], line["z"] - SHIFT[1]] == pytest.approx(truth[:2], abs=0.05)
+    assert line["localized"] and line["localizationScore"] == line["p_correct"] and 0 < line["deviationRange"] < 0.2
+    first, last = (json.loads(transport.messages("/localiser/places")[k].data) for k in (0, -1))
+    assert first and all(0 <= place["probability"] <= 1 for place in first)
+    assert sum(place["probability"] for place in first) <= 1.0
+    assert last[0]["map"] == "up stairs" and last[0]["probability"] > 0.9
+    assert [last[0]["x"], last[0]["z"]] == pytest.approx([line["x"], line["z"]], abs=0.05)
     pose = transport.messages("/localiser/pose")[-1]
     assert pose.header.frame_id == "map_up_stairs"
     assert pose.pose.pose.position.x == pytest.approx(line["x"])
