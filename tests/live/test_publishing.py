@@ -148,7 +148,14 @@ def test_what_goes_out_is_recorded() -> None:
     transport = KeepingTransport(heard=set())
     publisher = Publisher(transport, outputs_named(), record=lambda topic, msgtype, content: recorded.append(topic))
     fed(publisher)([*camera(), *drive(4)])
-    assert set(recorded) == {"/localiser/pose", "/tf", "/localiser/map", "/localiser/landmarks", "/diagnostics"}
+    assert set(recorded) == {
+        "/localiser/pose",
+        "/tf",
+        "/localiser/map",
+        "/localiser/landmarks",
+        "/diagnostics",
+        "/localiser/places",
+    }
     heard: list[str] = []
     transport = KeepingTransport()
     publisher = Publisher(transport, outputs_named(), record=lambda topic, *rest: heard.append(topic))
