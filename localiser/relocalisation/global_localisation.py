@@ -31,7 +31,6 @@ from localiser.particles import (
     Particles,
     cells_of,
     multinomial_resample,
-    only,
 )
 from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.hypotheses import Feet, are_known, feet_of, from_markers, poses_of
@@ -42,6 +41,7 @@ FEWEST = 5  # edges; fewer may all be clutter almost anywhere
 MOST_EDGES = 48  # that poses are proposed from; all of them weigh these
 POWER = 0.5  # of the likelihood: edges of an image err together, which the clutter model does not know
 HYPOTHESES, PER_BOX = 12_500, 10  # tried by one image; poses drawn around each of the best
+EVEN = 0.2  # as many poses again are drawn from the whole region
 BOX = np.array([CELL_M, CELL_M, CELL_RAD])  # around a hypothesis: m, m, rad
 MARKER_HITS = 3.0  # how many poses near the true one a marker gives that is where the map has it
 BLUR_RAD = np.radians(0.3)  # how far from each other the particles of one place may be
@@ -163,6 +163,8 @@ class GlobalLocalisation:
         _, first = np.unique(cells_of(tried[likeliest]), return_index=True)
         best = tried[likeliest[np.sort(first)[: -(-count // PER_BOX)]]]
         even = evenly_around(best, self.places.region, rng)
+        if len(even) == 0:
+            return None, hits
         cloud = Particles((*POSE, "log_fit"), np.vstack([even.columns, np.zeros(len(even))]), even.log_weight)
         for blur_rad in WIDER_RAD:
             log_fit = clues.anywhere(cloud, blur_rad)
@@ -170,11 +172,16 @@ class GlobalLocalisation:
             cloud.columns[3] = log_fit  # the copies keep that of where they come from
             cloud = Candidates.unknown(cloud).resampled(count, rng).particles
             cloud.columns[:3] += (blur_rad * MOVED)[:, None] * rng.standard_normal((3, len(cloud)))
-        cloud = replace(cloud, log_weight=cloud.log_weight - cloud["log_fit"])
-        cloud = only(cloud, (clues.anywhere(cloud) > 0.0) & np.isfinite(cloud.log_weight))
-        if len(cloud) == 0:
+        # What no box covers has a small likelihood at very many poses: without it, off the map becomes too likely.
+        beside = self.places.region.drawn(round(EVEN * count), rng)
+        poses = np.concatenate([cloud.poses, beside[_boxes_at(beside, best) == 0]])
+        poses[:, 2] = wrap_angle(poses[:, 2])
+        log_weight = np.full(len(poses), -np.log(max(len(beside), 1)))
+        log_weight[: len(cloud)] = cloud.log_weight - cloud["log_fit"]
+        fits = clues.anywhere(_at(poses)) > 0.0
+        if not fits.any():
             return None, hits
-        return Candidates.unknown(self._robots(like, cloud.poses, cloud.log_weight, clues.feet.camera, rng)), hits
+        return Candidates.unknown(self._robots(like, poses[fits], log_weight[fits], clues.feet.camera, rng)), hits
 
     def anywhere(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:
         """Return `count` candidates drawn evenly over the region; like: as for `proposed`."""
@@ -199,18 +206,26 @@ class GlobalLocalisation:
 
 
 def evenly_around(centres: Array, region: Region, rng: np.random.Generator) -> Particles:
-    """Return `PER_BOX` poses drawn evenly from each of the boxes around poses (K, 3), which may overlap.
+    """Return poses drawn evenly, `PER_BOX` from each box around poses (K, 3): those in the region.
 
-    Their weights sum to the prior probability of what the boxes cover of the region.
+    Their weights sum to the prior probability of what the boxes, which may overlap, cover of the region.
     """
     poses = np.repeat(centres, PER_BOX, axis=0)
     poses += BOX * rng.uniform(-0.5, 0.5, poses.shape)
-    apart = np.abs(poses[:, None] - centres)
-    apart[..., 2] = np.abs(wrap_angle(apart[..., 2]))
-    boxes = (apart <= 0.5 * BOX + 1e-9).all(axis=2).sum(axis=1)
+    poses = poses[region.contains(poses)]
     poses[:, 2] = wrap_angle(poses[:, 2])
-    log_prior = np.where(region.contains(poses), region.log_density, -np.inf)
-    return replace(_at(poses), log_weight=log_prior + np.log(BOX.prod() / PER_BOX / boxes))
+    log_weight = region.log_density + np.log(BOX.prod() / PER_BOX / _boxes_at(poses, centres))
+    return replace(_at(poses), log_weight=log_weight)
+
+
+def _boxes_at(poses: Array, centres: Array) -> Array:
+    """Return how many of the boxes around poses (K, 3) each of the poses (N, 3) is in."""
+    boxes = np.zeros(len(poses))
+    for centre in centres:
+        apart = poses - centre
+        apart[:, 2] = wrap_angle(apart[:, 2])
+        boxes += (np.abs(apart) <= 0.5 * BOX + 1e-9).all(axis=1)
+    return boxes
 
 
 def _at(poses: Array) -> Particles:
