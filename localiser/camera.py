@@ -41,8 +41,8 @@ class Mount:
 
     tilt_rad: positive looks down. roll_rad: positive has the camera's right side down. height_m: above the floor.
     right_m, back_m: from the robot's centre (15 cm ahead of it: back_m = -0.15). sigma: of a mount that was measured
-    for one image; its errors are then of this image alone. None: errors of tilt and roll are as the configuration says
-    and change slowly.
+    for one image; its errors are then of this image alone. None: errors of tilt and roll are as the configuration says.
+    They change slowly, and those of the usual mount are learnt.
     """
 
     tilt_rad: float

@@ -121,15 +121,12 @@ def test_motion_between_images_under_two_mounts() -> None:
 
 
 def test_a_tilt_that_was_measured_for_one_image_tells_nothing_of_the_next() -> None:
-    level = Level(USUAL, 0.005)
     off = replace(USUAL.mount, tilt_rad=USUAL.mount.tilt_rad + 0.01)
     edges = seen(USUAL, None, np.zeros(3))
     believed = USUAL.at(off)
+    level = Level(believed, 0.005)
     wrong = replace(
-        edges,
-        bearing=believed.bearing_of_segments(edges.ends_px),
-        lean=believed.lean_of_segments(edges.ends_px),
-        mount=off,
+        edges, bearing=believed.bearing_of_segments(edges.ends_px), lean=believed.lean_of_segments(edges.ends_px)
     )
     common = replace(wrong.common, cov=np.diag([0.01, 0.001]) ** 2)
     _, kept = level.levelled(None, replace(wrong, common=common), 0.0, 1.0)
@@ -137,6 +134,8 @@ def test_a_tilt_that_was_measured_for_one_image_tells_nothing_of_the_next() -> N
     measured = replace(USUAL.mount, sigma=MountSigma(tilt_rad=0.01, roll_rad=0.001))
     _, renewed = level.levelled(kept, replace(edges, mount=measured, common=common), 0.0, 0.1)
     assert renewed is not None and renewed.mean[0] == pytest.approx(0.0, abs=0.003)
+    stated = replace(edges, mount=USUAL.mount, common=common)  # another tilt than the usual one, without a sigma
+    assert level.levelled(kept, stated, 0.1, 1.0) == (stated, kept)
 
 
 def test_images_with_and_without_a_mount_are_located_by_one_localiser() -> None:

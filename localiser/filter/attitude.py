@@ -11,9 +11,9 @@ Tilt and roll change slowly, because floors are uneven and a load shifts. They a
 process that forgets over 100 m. Half a degree of stated uncertainty then allows 0.14° between places 4 m apart: 10 mm,
 which is what DIN 18202 allows a floor.
 
-A mount may be stated for each image. Without a sigma, as an encoder tells it, its error is the same for all images, as
-above: a zero that is off. With a sigma of its own, as an inertial sensor tells it, its error is another in each image,
-and each image is levelled by its own edges alone.
+A mount may be stated for each image. Without a sigma it was measured, and its edges are taken as they are, as those are
+that a map was made of. With a sigma of its own, as an inertial sensor tells it, its error is another in each image, and
+each image is levelled by its own edges alone.
 """
 
 from __future__ import annotations
@@ -115,6 +115,8 @@ class Level:
         stated_cov, camera = _of_attitude(edges.common.cov), self.camera.at(edges.mount)
         if measured_for_image(camera.mount):
             attitude, novelty = None, 1.0
+        elif (camera.mount.tilt_rad, camera.mount.roll_rad) != (self.camera.mount.tilt_rad, self.camera.mount.roll_rad):
+            return edges, attitude
         before = Attitude.stated(stated_cov) if attitude is None else attitude.after(path_m, stated_cov)
         now = before.given(edges, camera, self.plumb_sigma_rad, novelty)
         return now.levelled(edges, camera), now
