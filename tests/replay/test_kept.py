@@ -14,6 +14,7 @@ from folders import ROOT
 from localiser.config import read_config
 from localiser.errors import OutputError
 from localiser.filter import LocatedFrame
+from localiser.landmarks import LandmarkMap
 from localiser.replay import replay_log
 from localiser.replay.figures import Summary
 from localiser.replay.frames import KeptFrames
@@ -71,7 +72,7 @@ def test_memory_and_summary_hardly_grow_with_the_length_of_a_run(
             kept.append(numbered(frame, number))
 
     assert taken(keep) < 1.5 * in_memory
-    landmarks = len(frame.matches.visible)
+    landmarks = LandmarkMap.from_points(np.zeros((len(frame.matches.visible), 2)))
     Summary.of(kept[:1], landmarks)  # which imports something
     assert taken(lambda: Summary.of(kept, landmarks)) < in_memory
 
@@ -89,7 +90,7 @@ def test_a_full_disk_is_told(frame: LocatedFrame, monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_summary_of_nothing_is_empty() -> None:
-    summary = Summary.of([], 3)
+    summary = Summary.of([], LandmarkMap.from_points(np.zeros((3, 2))))
     assert len(summary.track) == 0
     assert summary.sighted is None
     np.testing.assert_array_equal(summary.landmark_use, np.zeros((3, 2)))
