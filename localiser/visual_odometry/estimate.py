@@ -139,7 +139,7 @@ class Frames:
         if len(before) and len(after):
             one, two = with_errors_apart(one, two, before, after)
         first, second = (camera.at(edges.mount).robot_from_level[:2] for edges in (before, after))
-        pairs = np.argwhere(before.polarity[:, None].astype(int) * after.polarity >= 0)
+        pairs = np.ascontiguousarray(np.argwhere(before.polarity[:, None].astype(int) * after.polarity >= 0))
         look = how_alike(before.profile, after.profile)[pairs[:, 0], pairs[:, 1]]
         new_share = (1.0 - FOLLOWED_SHARE) / (FOLLOWED_SHARE / max(len(before), 1))
         model = FOOT_UNEVEN_SIGMA_M / camera.mount.height_m, new_share / field_of_view_rad(camera)
