@@ -74,6 +74,7 @@ def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
     with program(*LIVE, *saving) as live:
         lines = live.poses(5)
         live.wait_to_say("resumed; the wheels tell")
+        lines += live.poses(45)  # a busy machine loses images around the silence, so that the state is less sure
         assert max(line["p_correct"] for line in lines) > 0.7 and min(line["cov"][0] for line in lines) < 0.2
         assert live.end() == 0
 
