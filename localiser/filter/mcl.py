@@ -198,7 +198,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
         found = _weighed(mcl, state, state.particles, few, image, rng)
         # Do edges and map contradict the wheels? Then the robot moved as the edges say.
-        motion = _contradicted(mcl, state, sighting, image, found, rng)
+        motion = _contradicted(mcl, state, sighting, image, rng)
         if motion is not None:
             drive = replace(drive, moves=[motion], increment=motion)
             image = _received(mcl, state, sighting, drive)
@@ -323,7 +323,7 @@ def _weighed(
 
 
 def _contradicted(
-    mcl: Mcl, state: FilterState, sighting: Sighting, image: _Image, found: Weighed, rng: np.random.Generator
+    mcl: Mcl, state: FilterState, sighting: Sighting, image: _Image, rng: np.random.Generator
 ) -> Increment | None:
     """Return how the robot moved as the edges say, where they and the map contradict the wheels; None where not."""
     seconds, seen, increment = (sighting.t_ns - state.at_ns) / 1e9, state.seen, image.drive.increment
