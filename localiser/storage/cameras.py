@@ -167,17 +167,16 @@ def camera_from_document(document: Document) -> Camera:
     mount |= {name: getattr(file.mount, name) for name in _LENGTHS}
     model, distortion = file.distortion_model, _distortion(document, file)
     size = (file.image_width, file.image_height)
-    shutter = _shutter(document, file)
+    shutter = shutter_of(file.rolling_shutter, file.image_height, document)
     return Camera(*size, *intrinsics, Mount(**mount), model, distortion, file.camera_name, shutter)
 
 
-def _shutter(document: Document, file: CameraFile) -> RollingShutter | None:
-    """Return how the shutter rolls, None where it does not."""
-    stated = file.rolling_shutter
+def shutter_of(stated: ShutterFile | None, height: int, document: Document) -> RollingShutter | None:
+    """Return how the shutter of images of a height rolls, None where it does not. Raises InputError."""
     if stated is None or stated.row_time_us == 0:
         return None
-    if stated.stamp_row > file.image_height - 1:
-        problem = f"expected a row of the image, 0 to {file.image_height - 1}, found {stated.stamp_row:g}"
+    if stated.stamp_row > height - 1:
+        problem = f"expected a row of the image, 0 to {height - 1}, found {stated.stamp_row:g}"
         raise document.error(("rolling_shutter", "stamp_row"), problem)
     return RollingShutter(stated.row_time_us / 1e6, stated.stamp_row)
 

@@ -51,42 +51,33 @@ def read_edges(path: Path, camera: Camera) -> tuple[list[Sighting], dict[str, Pl
     for row in range(len(table)):
         _check_row(table, row, measured[row], found[row])
 
-    frames = []
-    times = table.columns["t_ns"]
+    frames, times = [], table.columns["t_ns"]
+    polarity = np.array(table.columns["polarity"], dtype=np.int8)
     identified, named = _landmarks(table)
     for t_ns, rows in groupby(range(len(table)), key=lambda row: times[row]):
         index = np.array([row for row in rows if found[row]], dtype=np.int64)
         if len(index) > MOST_EDGES:
             problem = f"expected at most {MOST_EDGES} edges in an image, found {len(index)}"
             raise table.error(int(index[MOST_EDGES]), "t_ns", problem)
-        frames.append(Sighting(t_ns, _edges(table, measured, identified, index, camera)))
+        bearing, bearing_sigma, lean, lean_sigma, length_px = measured[index].T
+        edges = Edges.from_columns(
+            *complete(bearing, bearing_sigma, lean, lean_sigma, camera.mount.tilt_rad),
+            length_px=length_px,
+            polarity=polarity[index],
+            landmark_id=identified[index],
+        )
+        frames.append(Sighting(t_ns, edges))
     return frames, named
 
 
 def _landmarks(table: Table) -> tuple[NDArray[np.int64], dict[str, Place]]:
     """Return the number (R,) of each row's landmark, -1 for none, and the landmarks that are named."""
-    named: dict[str, Place] = {}
-    number = np.full(len(table), -1, dtype=np.int64)
+    number, order, named = np.full(len(table), -1, dtype=np.int64), dict[str, int](), dict[str, Place]()
     for row, name in enumerate(table.columns.get("landmark_id", [])):
         if name:
+            number[row] = order.setdefault(name, len(order))
             named.setdefault(name, Place(str(table.path), table.lines[row]))
-    order = {name: place for place, name in enumerate(named)}
-    for row, name in enumerate(table.columns.get("landmark_id", [])):
-        number[row] = order.get(name, -1)
     return number, named
-
-
-def _edges(
-    table: Table, measured: Array, identified: NDArray[np.int64], index: NDArray[np.int64], camera: Camera
-) -> Edges:
-    """Return the edges in the rows `index` (E,); measured: (R, 5), bearings from the camera's axis."""
-    bearing, bearing_sigma, lean, lean_sigma, length_px = measured[index].T
-    return Edges.from_columns(
-        *complete(bearing, bearing_sigma, lean, lean_sigma, camera.mount.tilt_rad),
-        length_px=length_px,
-        polarity=np.array(table.columns["polarity"], dtype=np.int8)[index],
-        landmark_id=identified[index],
-    )
 
 
 def _check_row(table: Table, row: int, measured: Array, found: np.bool_) -> None:

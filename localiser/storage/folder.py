@@ -33,7 +33,7 @@ from localiser.storage.images import (
     whole_image,
 )
 from localiser.storage.log import NO_ODOMETRY, VISION_ALONE, Frame, Log, ReadOptions, require_overlap
-from localiser.storage.maps import read_map, write_map
+from localiser.storage.maps import PoseFile, read_map, write_map
 from localiser.storage.tables import Column, Table, integer, number_or_unknown, read_table, text
 from localiser.storage.trajectories import read_poses, write_poses
 
@@ -43,14 +43,9 @@ FORMAT = "localiser-log/1"
 FileName = Annotated[str, Field(min_length=1, max_length=255)]
 
 
-class StartFile(BaseModel):
+class StartFile(PoseFile):
     """Where the robot is said to be at the first event, and how certain that is."""
 
-    model_config = FileModel
-
-    x: Annotated[float, Field(ge=-1e8, le=1e8)]  # as large as UTM has them
-    z: Annotated[float, Field(ge=-1e8, le=1e8)]
-    heading_deg: Annotated[float, Field(ge=-360, le=360)]
     sigma_m: Annotated[float, Field(ge=0, le=1000)]
     sigma_deg: Annotated[float, Field(ge=0, le=360)]
 

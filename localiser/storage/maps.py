@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,10 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field, StrictInt, StrictStr, model_v
 
 from localiser.documents import Document, dump, is_name, parse, plain_name, read_text, shown, validate, write_text
 from localiser.errors import InputError
-from localiser.geometry import Array, private_folder, read_kept, write_kept
+from localiser.geometry import Array
 from localiser.landmarks import FRAME, LandmarkMap, Quality
 from localiser.markers import code_of
-from localiser.storage.checkpoint import decode, encode, form_of
+from localiser.storage.cameras import FileModel
 from localiser.storage.files import MAP, inside, refuse_other
 from localiser.storage.site import Site
 
@@ -30,8 +28,6 @@ SITE_FORMAT = "localiser-site/1"
 MOST_MAPS = 100  # of a site
 MOST_BYTES = 64 * 2**20
 MOST_LANDMARKS = 100_000  # as many as are measured in docs/results.md
-LARGE_BYTES = 50_000  # from which on a map is kept as it was read
-KEPT_MAPS = 20
 
 Metres = Annotated[float, Field(ge=-1e8, le=1e8)]
 Variance = Annotated[float, Field(ge=0, le=1e12)]
@@ -41,7 +37,7 @@ Open = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
 class CovFile(BaseModel):
     """Covariance of a landmark's position, m²."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = FileModel
 
     xx: Variance
     xz: Annotated[float, Field(ge=-1e12, le=1e12)]
@@ -73,10 +69,10 @@ class LandmarkFile(BaseModel):
     profile: Annotated[list[Annotated[float, Field(ge=0, le=255)]], Field(max_length=101)] = Field(default_factory=list)
 
 
-class StartFile(BaseModel):
-    """Where the drive of a map began, in the map's frame."""
+class PoseFile(BaseModel):
+    """A pose in a map's frame, as large as UTM has them."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = FileModel
 
     x: Metres
     z: Metres
@@ -86,13 +82,13 @@ class StartFile(BaseModel):
 class DriveFile(BaseModel):
     """The drive that a map was built from: what it is known by, and where it began."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = FileModel
 
     log: str
     first_image_ns: StrictInt
     last_image_ns: StrictInt
     odometry_m: Annotated[float, Field(ge=0)]
-    start: StartFile
+    start: PoseFile
 
 
 class MapFile(BaseModel):
@@ -125,48 +121,28 @@ def read_maps(paths: Sequence[Path]) -> LandmarkMap:
 
 
 def _map_of_site(path: Path) -> LandmarkMap:
-    return replace(_read(path, is_part=True), name=plain_name(path.stem))
+    return replace(_one_map(_document_of(path)), name=plain_name(path.stem))
 
 
 def read_map(path: Path | str) -> LandmarkMap:
-    """Return the map that a file describes, or the maps of a site laid apart in one. Raises InputError.
-
-    A large map is kept between runs as it was read, by the content of its file, because reading its text takes long.
-    """
-    return _read(Path(path), is_part=False)
+    """Return the map that a file describes, or the maps of a site laid apart in one. Raises InputError."""
+    return map_from_document(_document_of(Path(path)), Path(path).parent)
 
 
-def _read(path: Path, *, is_part: bool) -> LandmarkMap:
-    """Return the map of a file. is_part: whether a site's is refused, as a list in a list."""
+def _document_of(path: Path) -> Document:
     refuse_other(path, MAP)
-    text = read_text(path, MOST_BYTES)
-    if len(text) < LARGE_BYTES or f"format: {SITE_FORMAT}" in text:
-        document = parse(text, str(path))
-        if is_part and _is_site(document):
-            raise document.error(("format",), f"expected {FORMAT!r}, found a list of maps")
-        return map_from_document(document, path.parent)
-    kept = _kept_path(text)
-    found = kept and read_kept(kept)
-    if found:
-        with suppress(ValueError):  # another version's
-            return decode(LandmarkMap, found)  # type: ignore[no-any-return]
-    landmark_map = map_from_document(parse(text, str(path)))
-    if kept:
-        write_kept(kept, encode(landmark_map), KEPT_MAPS)
-    return landmark_map
-
-
-def _kept_path(text: str) -> Path | None:
-    """Return where the map with this text is kept, None where nothing can be kept."""
-    where = private_folder("maps")
-    digest = sha256(f"{FORMAT} {form_of(LandmarkMap)}\n{text}".encode()).hexdigest()
-    return where and where / f"map-{digest[:40]}"
+    return parse(read_text(path, MOST_BYTES), str(path))
 
 
 def map_from_document(document: Document, folder: Path | None = None) -> LandmarkMap:
     """Return the map that a document describes, or those of a site. folder: where its files are. Raises InputError."""
+    return _site_of(document, folder) if _is_site(document) else _one_map(document)
+
+
+def _one_map(document: Document) -> LandmarkMap:
+    """Return the map that a document describes; a list of maps is refused."""
     if _is_site(document):
-        return _site_of(document, folder)
+        raise document.error(("format",), f"expected {FORMAT!r}, found a list of maps")
     file = validate(document, MapFile)
     _check_frame(document, file.frame)
     _check_landmarks(document, file.landmarks)
@@ -198,10 +174,7 @@ def _site_of(document: Document, folder: Path | None) -> Site:
         key = ("maps", number)
         if isinstance(one, dict):
             places = {rest[2:]: place for rest, place in document.places.items() if rest[:2] == key}
-            part = Document(one, places)
-            if _is_site(part):
-                raise document.error((*key, "format"), f"expected {FORMAT!r}, found a list of maps")
-            maps.append(map_from_document(part))
+            maps.append(_one_map(Document(one, places)))
             continue
         try:
             if folder is None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from localiser.documents import draft_beside, field_name, output_errors, read_text, shown, write_text
+from localiser.documents import draft_beside, field_name, output_errors, read_text, shown
 from localiser.errors import InputError, OutputError, one_paragraph
 from localiser.storage.files import kind_of
 from localiser.storage.tables import Column, csv_of, read_table
@@ -66,33 +66,20 @@ def safe_name(log_name: str) -> str:
 
 
 def find_run(path: Path) -> Path:
-    """Return the folder of a run given as its folder, as `latest`, or as the folder of a log's runs (its latest).
-
-    Raises InputError.
-    """
-    for folder in (_linked(path), _linked(path / LATEST)):
+    """Return the folder of a run, given as it is or as the folder of a log's runs (its latest). Raises InputError."""
+    for folder in (path, path / LATEST):
         if (folder / "trajectory.csv").is_file():
             return folder
     found = f", found {runs}" if (runs := kind_of(path)) else ""
     raise InputError(f"expected the folder of a run, with a trajectory.csv{found}", path=path)
 
 
-def _linked(path: Path) -> Path:
-    """Return the folder that a `latest` stands for which could not be made a link."""
-    if path.name == LATEST and path.is_file():
-        return path.parent / safe_name(read_text(path, 100))
-    return path
-
-
 def _point_latest(logs: Path, number: str) -> None:
-    """Make `latest` a symbolic link to the run, or a text file with its number where links cannot be made."""
+    """Make `latest` a symbolic link to the run; there is none where links cannot be made."""
     draft = draft_beside(logs / LATEST)
-    try:
+    with suppress(OSError, NotImplementedError):
         draft.symlink_to(number, target_is_directory=True)
         draft.replace(logs / LATEST)
-    except (OSError, NotImplementedError):
-        draft.unlink(missing_ok=True)
-        write_text(logs / LATEST, f"{number}\n")
 
 
 # -- JSON -------------------------------------------------------------------------------------------------------------

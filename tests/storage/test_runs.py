@@ -62,16 +62,15 @@ def test_runs_are_numbered_and_latest_points_to_the_last(tmp_path: Path) -> None
     assert RunFolder.create(tmp_path, "my log").path.name == "11"
 
 
-def test_latest_is_a_text_file_where_links_cannot_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_there_is_no_latest_where_links_cannot_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise OSError("not supported")
 
     monkeypatch.setattr(Path, "symlink_to", refuse)
     run = RunFolder.create(tmp_path, "log")
-    assert (tmp_path / "log/latest").read_text() == "1\n"
     (run.path / "trajectory.csv").touch()
-    assert find_run(tmp_path / "log/latest") == run.path
-    assert find_run(tmp_path / "log") == run.path
+    assert [entry.name for entry in (tmp_path / "log").iterdir()] == ["1"]
+    assert find_run(tmp_path / "log/1") == run.path
 
 
 def test_number_that_another_run_takes_is_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -172,19 +172,6 @@ def _end_of(path: Path) -> bytes:
 
 SUFFIX = ".db3"
 
-_MAKE_TABLES = """
-CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
-CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
-CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
-  offered_qos_profiles TEXT NOT NULL, type_description_hash TEXT NOT NULL);
-CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
-  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
-CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
-  data BLOB NOT NULL);
-CREATE INDEX timestamp_idx ON messages (timestamp ASC);
-INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'humble');
-"""
-
 
 class BagRecorder:
     """Writes a ROS 2 bag of SQLite, message by message as they came.
@@ -198,6 +185,8 @@ class BagRecorder:
 
         Raises InputError for a path that does not end in .db3, OutputError.
         """
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+
         if path.suffix != SUFFIX:
             raise InputError(
                 f"expected a path that ends in {SUFFIX} (`localiser convert` makes other kinds of it), found {path}",
@@ -212,7 +201,7 @@ class BagRecorder:
         with self._errors():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-            self._database.executescript(f"BEGIN;{_MAKE_TABLES}COMMIT;BEGIN;")
+            self._database.executescript(f"BEGIN;{Sqlite3Writer.SQLITE_SCHEMA}COMMIT;BEGIN;")
 
     def write(self, topic: str, msgtype: str, t_ns: int, content: bytes) -> None:
         """Add a message as it came at `t_ns`; recorded times increase, so that a reader has the order of calls.

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from localiser.camera import Camera, Mount, MountSigma, RollingShutter
+from localiser.camera import Camera, Mount, MountSigma
 from localiser.documents import MAX_DOCUMENT_BYTES, Document, drafted, dump, is_name, parse, remove
 from localiser.errors import InputError, OutputError
 from localiser.filter import Anywhere, Odometry, Start
@@ -23,7 +23,7 @@ from localiser.storage.bags.bag import IMU_TOPIC, LOG_TOPIC, MAP_TOPIC
 from localiser.storage.bags.database import latched_quality
 from localiser.storage.bags.frames import check_start
 from localiser.storage.bags.messages import MAP, ODOM, Messages
-from localiser.storage.cameras import FileModel, ShutterFile, shutter_data
+from localiser.storage.cameras import FileModel, ShutterFile, shutter_data, shutter_of
 from localiser.storage.files import require_new_file
 from localiser.storage.folder import StartFile, start_data
 from localiser.storage.images import ImageEvent
@@ -220,15 +220,7 @@ def with_sigma(mounts: Sequence[Mount | None], label: Label) -> Sequence[Mount |
 
 def labelled(camera: Camera, label: Label) -> Camera:
     """Return the camera with what no message of ROS says of it: its name, and how its shutter rolls."""
-    stated = label.rolling_shutter
-    if stated is not None and stated.stamp_row > camera.height - 1:
-        raise InputError(
-            f"expected a row of the image, 0 to {camera.height - 1}, found {stated.stamp_row:g}",
-            field="rolling_shutter.stamp_row",
-        )
-    shutter = (
-        RollingShutter(stated.row_time_us / 1e6, stated.stamp_row) if stated and stated.row_time_us else camera.shutter
-    )
+    shutter = shutter_of(label.rolling_shutter, camera.height, Document(None, {})) or camera.shutter
     return replace(camera, name=camera.name or label.camera_name, shutter=shutter)
 
 
