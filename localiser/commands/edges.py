@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress, show, with_options
+from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress, with_options
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 
 if TYPE_CHECKING:
@@ -28,25 +28,7 @@ EPILOG = """Examples:
 
 `localiser edges logs/corridor --no-pictures --set edges.min_length_px=20`"""
 
-_MOST_ROWS = 60
-_MOST_KEPT = 200
-"""So many images tell whether the stated mount is right; a large batch is not held in memory."""
-_LEAST_WIDTH = 1000
-"""Smaller pictures are drawn larger."""
-_DEG = 180 / math.pi
-_SHOWN = (
-    ("edge", "edge", 1, "d"),
-    ("bearing °", "bearing_rad", _DEG, "+.2f"),
-    ("sigma °", "bearing_sigma_rad", _DEG, ".3f"),
-    ("lean °", "lean_rad", _DEG, "+.2f"),
-    ("sigma °", "lean_sigma_rad", _DEG, ".2f"),
-    ("slope °", "slope_deg", 1, ".2f"),
-    ("length px", "length_px", 1, ".0f"),
-    ("polarity", "polarity", 1, "d"),
-    ("foot m", "foot_range_m", 1, ".2f"),
-    ("± m", "foot_range_sigma_m", 1, ".2f"),
-)
-"""Title, key of the row, factor, and format of a number."""
+_LEAST_WIDTH = 1000  # of a picture; a smaller image is drawn larger
 
 COLUMNS = (
     "edge",  # number in the picture, from left to right
@@ -86,6 +68,8 @@ def edges(
     overrides: Overrides = None,
 ) -> None:
     """Find the vertical edges in images; write them as CSV, and a picture of each image."""
+    import numpy as np
+
     from localiser.config import in_force, read_config, to_yaml
     from localiser.replay import Stop, asked_to_stop
     from localiser.storage import write_camera, write_text
@@ -96,7 +80,6 @@ def edges(
     folder = _new_folder(out)
     write_camera(taken_by, folder / "camera.yaml")
     write_text(folder / "config.yaml", to_yaml(in_force(settings)))
-    found: list[Edges] = []
     counts: list[int] = []
     asked = Stop()
     try:
@@ -104,9 +87,7 @@ def edges(
             for number, one in enumerate(taken):
                 if asked.is_set():
                     raise KeyboardInterrupt
-                edges_of_one = _found_in(one, number, taken_by, settings, folder, pictures)
-                counts.append(len(edges_of_one))
-                found += [edges_of_one] if number < _MOST_KEPT else []
+                counts.append(_find_in(one, number, taken_by, settings, folder, pictures))
                 advance()
     except (KeyboardInterrupt, LocaliserError) as error:
         reason, exit_code = "stopped", asked.exit_code
@@ -114,12 +95,10 @@ def edges(
             reason, exit_code = str(error), error.exit_code
         done = f"The run ended after {len(counts)} of {len(taken)} images"
         raise RunEndedEarlyError(f"{reason}. {done}; what was done is in {folder}", exit_code) from error
-    if is_quiet():
-        return
-    _show(taken, found, counts)
-    typer.echo(f"Results in {folder}: edges.csv{'; a picture of each image' if pictures else ''}.")
-    if warning := _mount_warning(found, taken_by, settings):
-        typer.secho(warning, fg="yellow", err=True)
+    if not is_quiet():
+        where = taken[0].image if len(counts) == 1 else f"{len(counts)} images, {np.median(counts):g} each (median)"
+        typer.echo(f"{sum(counts)} vertical edges in {where}")
+        typer.echo(f"Results in {folder}: edges.csv{'; a picture of each image' if pictures else ''}.")
 
 
 # -- what is looked at ------------------------------------------------------------------------------------------------
@@ -184,8 +163,8 @@ def _new_folder(out: Path | None) -> Path:
 # -- what is found ----------------------------------------------------------------------------------------------------
 
 
-def _found_in(taken: Taken, number: int, camera: Camera, settings: Config, folder: Path, pictures: bool) -> Edges:
-    """Return the edges of an image from left to right, appended to edges.csv, which so survives a stop, and drawn."""
+def _find_in(taken: Taken, number: int, camera: Camera, settings: Config, folder: Path, pictures: bool) -> int:
+    """Append the edges of an image, from left to right, to edges.csv, and draw them; return how many there are."""
     import numpy as np
 
     from localiser.edges import find_edges
@@ -200,15 +179,15 @@ def _found_in(taken: Taken, number: int, camera: Camera, settings: Config, folde
     with output_errors(path):
         head = [] if path.exists() else [[*about, *COLUMNS]]
         with path.open("a", encoding="utf-8", newline="") as file:
-            file.write(csv_of([*head, *([*about.values(), *map(_cell, row.values())] for row in rows_of(found))]))
+            file.write(csv_of([*head, *([*about.values(), *row] for row in rows_of(found))]))
     if pictures:
         name = f"{number + 1:04d}_{safe_name(Path(taken.image).stem)}.png"
         write_bytes(folder / name, encode_image(picture(image, found, camera), ".png", 100))
-    return found
+    return len(found)
 
 
-def rows_of(edges: Edges) -> list[dict[str, Any]]:
-    """Return one row an edge with the keys of `COLUMNS`; what is not known is nan."""
+def rows_of(edges: Edges) -> list[list[Any]]:
+    """Return a row for each edge with the cells of `COLUMNS`; what is not known is empty."""
     import numpy as np
 
     from localiser import geometry
@@ -224,11 +203,7 @@ def rows_of(edges: Edges) -> list[dict[str, Any]]:
     computed |= dict(zip(ends, edges.ends_px.reshape(-1, 4).T, strict=True))
     columns = (computed.get(name, getattr(edges, name.removesuffix("_rad"), None)) for name in COLUMNS)
     values = [np.asarray(column).tolist() for column in columns]
-    return [dict(zip(COLUMNS, cells, strict=True)) for cells in zip(*values, strict=True)]
-
-
-def _cell(value: float) -> object:
-    return "" if math.isnan(value) else value
+    return [["" if math.isnan(value) else value for value in cells] for cells in zip(*values, strict=True)]
 
 
 def picture(image: Image, edges: Edges, camera: Camera) -> Image:
@@ -266,52 +241,3 @@ def picture(image: Image, edges: Edges, camera: Camera) -> Image:
             at = (top[0] + 4, max(top[1], 14))
             cv2.putText(pixels, str(number + 1), at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, width, cv2.LINE_AA)
     return pixels
-
-
-# -- what is told -----------------------------------------------------------------------------------------------------
-
-
-def _show(taken: Sequence[Taken], found: Sequence[Edges], counts: Sequence[int]) -> None:
-    """Print the edges of a single image, or what was found in several."""
-    import numpy as np
-
-    from localiser.evaluate import new_table
-
-    if len(counts) > 1:
-        typer.echo(f"{sum(counts)} vertical edges in {len(counts)} images, {np.median(counts):g} in an image (median)")
-        return
-    rows, image = rows_of(found[0]), taken[0].image
-    if not rows:
-        typer.echo(f"No vertical edges in {image}; segments rejected: {len(found[0].rejected_px)}")
-        return
-    table = new_table(f"{len(rows)} vertical edges in {image}", *(title for title, *_ in _SHOWN), texts=0)
-    for row in rows[:_MOST_ROWS]:
-        cells = ((row[key] * factor, spec) for _, key, factor, spec in _SHOWN)
-        table.add_row(*(format(value, spec) if math.isfinite(value) else "–" for value, spec in cells))
-    if len(rows) > _MOST_ROWS:
-        table.add_row(f"{len(rows) - _MOST_ROWS} more in edges.csv")
-    show(table)
-
-
-def _mount_warning(found: list[Edges], camera: Camera, settings: Config) -> str | None:
-    """Return a text where the edges contradict the stated mount clearly, else None; see `check_mount`.
-
-    Nothing says how far apart images were taken, so all together are as certain as one of them. One image may well
-    contradict the truth by a sigma of what is stated, so more is asked than of a whole run: what chance exceeds in 1 %
-    of the cases.
-    """
-    import numpy as np
-
-    from localiser.calibration import check_mount
-
-    believed_rad = settings.edges.mount_sigma_rad
-    check = check_mount(found.__getitem__, np.zeros((len(found), 3)), camera, believed_rad)
-    off, cov = check.mount - check.stated, check.cov + np.diag(believed_rad**2)
-    if not check.disagrees or off @ np.linalg.solve(cov, off) <= 9.2:
-        return None
-    stated, says, sigma = (np.rad2deg(values) for values in (check.stated, check.mount, check.sigma))
-    return (
-        f"The lines say that the camera's tilt is {says[0]:z.1f}° ± {sigma[0]:.1f}° and its roll {says[1]:z.1f}° ± "
-        f"{sigma[1]:.1f}°; stated are {stated[0]:.2f}° and {stated[1]:.2f}°. Until the camera file is right, edges are "
-        "missed and bearings are off. See `localiser camera tilt`."
-    )

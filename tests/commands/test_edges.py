@@ -94,13 +94,13 @@ def test_one_image_prints_its_edges_and_many_print_counts(localiser: Localiser, 
     cv2.imwrite(str(folder / "black.png"), np.zeros((240, 320), dtype=np.uint8))
     how = ("--camera", folder / "camera.yaml", "--no-pictures", "--out")
     one = localiser("edges", folder / "0.png", *how, folder / "one")
-    assert "4 vertical edges in" in one.out and "-21.0" in one.out and "Finding" not in one.err
+    assert "4 vertical edges in" in one.out and "Finding" not in one.err
     many = localiser("edges", folder / "0.png", folder / "1.png", *how, folder / "many")
-    assert "8 vertical edges in 2 images, 4 in an image" in many.out and "2/2" in many.err
+    assert "8 vertical edges in 2 images, 4 each" in many.out and "2/2" in many.err
     silent = localiser("edges", folder / "0.png", folder / "1.png", *how, folder / "silent", "--quiet")
     assert (silent.out, silent.err) == ("", "")
     none = localiser("edges", folder / "black.png", *how, folder / "none")
-    assert none.out.splitlines()[0].startswith("No vertical edges in") and "bearing" not in none.out
+    assert none.out.startswith("0 vertical edges in")
     assert table(folder / "none" / "edges.csv") == []
 
 
@@ -132,19 +132,6 @@ def test_a_log_brings_its_camera_its_times_and_a_mount_of_each_image(localiser: 
 
 
 # -- what is told -----------------------------------------------------------------------------------------------------
-
-
-def test_a_stated_tilt_that_the_edges_contradict_is_told(localiser: Localiser, folder: Path) -> None:
-    image = wall_image(CAMERA, np.linspace(-24, 24, 11), [70, 150] * 6, wall_ahead_m=2.0, noise_sigma=1.0)
-    cv2.imwrite(str(folder / "wall.png"), image)
-    for off_deg, told in ((0.0, False), (3.0, True)):
-        mount = CAMERA.with_mount(tilt_rad=CAMERA.mount.tilt_rad + np.deg2rad(off_deg))
-        write_camera(mount, folder / f"{off_deg}.yaml")
-        result = localiser("edges", folder / "wall.png", "--camera", folder / f"{off_deg}.yaml",
-                           "--out", folder / f"{off_deg}", "--no-pictures")  # fmt: skip
-        assert result.exit_code == 0
-        assert ("See `localiser camera tilt`" in result.err) == told
-        assert ("say that the camera's tilt is 20." in result.err or "tilt is 19.9" in result.err) == told
 
 
 @pytest.mark.parametrize(
