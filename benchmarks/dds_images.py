@@ -28,7 +28,7 @@ from live_processes import free_domain  # noqa: E402
 from localiser.config import LiveParameters  # noqa: E402
 from localiser.live import open_transport  # noqa: E402
 from localiser.live.transport import Topic  # noqa: E402
-from localiser.storage.bags import IMAGE, ODOMETRY, stamp_of, typestore  # noqa: E402
+from localiser.storage.bags import RosType, stamp_of, typestore  # noqa: E402
 
 RATE_HZ = 20.0
 LEAST_BYTES = 1000  # of an image; empty ones go out until they are heard
@@ -42,9 +42,9 @@ def received(peer: Path, reliable: bool, count: int) -> tuple[int, np.ndarray]:
     wheels: list[int] = []
     command = [peer, str(domain), "send", "reliable" if reliable else "best", str(count), str(RATE_HZ)]
     with closing(open_transport(LiveParameters(dds=domain))) as transport:
-        image = Topic("/camera/image_raw", IMAGE, reliable=reliable, depth=5)
+        image = Topic("/camera/image_raw", RosType.IMAGE, reliable=reliable, depth=5)
         transport.subscribe(image, lambda content, source: arrived.append((time.time_ns(), content)))
-        odometry = Topic("/odom", ODOMETRY, reliable=reliable, depth=5)
+        odometry = Topic("/odom", RosType.ODOMETRY, reliable=reliable, depth=5)
         transport.subscribe(odometry, lambda content, source: wheels.append(time.time_ns()))
         with subprocess.Popen(command, stdin=subprocess.PIPE, text=True) as process:
             assert process.stdin is not None
@@ -56,7 +56,7 @@ def received(peer: Path, reliable: bool, count: int) -> tuple[int, np.ndarray]:
             process.stdin.close()
     images = [(at_ns, content) for at_ns, content in arrived if len(content) > LEAST_BYTES]
     store = typestore(ros1=False)
-    latency_ms = [(at_ns - stamp_of(store.deserialize_cdr(content, IMAGE))) / 1e6 for at_ns, content in images]
+    latency_ms = [(at_ns - stamp_of(store.deserialize_cdr(content, RosType.IMAGE))) / 1e6 for at_ns, content in images]
     return count - len(images), np.array(latency_ms)
 
 

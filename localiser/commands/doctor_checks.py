@@ -24,28 +24,9 @@ from localiser.config import Config, LiveParameters
 from localiser.edges import Edges, find_edges
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
-from localiser.live import (
-    Arrival,
-    input_topics,
-    message_of,
-    open_transport,
-    prefix_of,
-    topic_for,
-    type_of,
-)
+from localiser.live import Arrival, input_topics, message_of, open_transport, prefix_of, topic_for, type_of
 from localiser.storage import Image, Log, check_whole, decoded
-from localiser.storage.bags import (
-    COMPRESSED,
-    IMAGE,
-    ODOMETRY,
-    Bag,
-    BagReader,
-    CameraFinder,
-    floor_pose,
-    grey_image,
-    image_file,
-    stamp_of,
-)
+from localiser.storage.bags import Bag, BagReader, CameraFinder, RosType, floor_pose, grey_image, image_file, stamp_of
 
 State = Literal["ok", "optional", "warning", "missing"]
 LIBRARIES = ("numpy", "opencv-python-headless", "numba", "rosbags", "rerun-sdk")
@@ -56,7 +37,7 @@ MOST_KEPT = 400
 MOST_IMAGES, MOST_PAIRS = 60, 30  # of a log, whose edges are found
 CLOCK_S = 0.2
 GAP_S, GAP_INTERVALS = 1.0, 5.0  # what is longer than both is a gap, in seconds and in usual intervals
-_STAMPED = (IMAGE, COMPRESSED, ODOMETRY)  # of which rates, gaps and clocks are told
+_STAMPED = (RosType.IMAGE, RosType.COMPRESSED, RosType.ODOMETRY)  # of which rates, gaps and clocks are told
 _SOURCE = Path("image")
 
 

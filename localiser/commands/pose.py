@@ -46,7 +46,7 @@ def send_pose(pose: str, sigma: str, live: LiveParameters) -> str:
 
     from localiser.live import Topic, input_topics, network_of, open_transport, prefix_of
     from localiser.replay import given_pose
-    from localiser.storage.bags import POSE, Messages
+    from localiser.storage.bags import Messages, RosType
 
     mean = given_pose(pose)
     try:
@@ -58,7 +58,7 @@ def send_pose(pose: str, sigma: str, live: LiveParameters) -> str:
     cov = np.diag([sigma_m, sigma_m, np.deg2rad(sigma_deg)]) ** 2
     make = Messages()
     content = make.encode(make.pose_in_map(time.time_ns(), mean, cov, live.map_frame))
-    topic = Topic(input_topics(live.topics, prefix_of(live))["initialpose"], POSE)
+    topic = Topic(input_topics(live.topics, prefix_of(live))["initialpose"], RosType.POSE)
     with closing(open_transport(live, "localiser_pose_set", wait=False)) as transport:
         end = time.monotonic() + PATIENCE_S
         while not transport.is_heard(topic):

@@ -21,26 +21,17 @@ from localiser.errors import InputError
 from localiser.live.transport import Topic
 from localiser.ros import Output, topic_in
 from localiser.storage import encode_image, open_stream
-from localiser.storage.bags import (
-    CAMERA_INFO,
-    CLOCK,
-    COMPRESSED,
-    IMAGE,
-    ODOMETRY,
-    POSE,
-    TRANSFORMS,
-    typestore,
-)
+from localiser.storage.bags import RosType, typestore
 
 _ROLES = {
     "image": ("/camera/image_raw/compressed", ""),
-    "camera_info": ("/camera/camera_info", CAMERA_INFO),
-    "odometry": ("/odom", ODOMETRY),
-    "groundtruth": ("/ground_truth/odom", ODOMETRY),
-    "transforms": ("/tf_static", TRANSFORMS),
-    "moving_transforms": ("/tf", TRANSFORMS),
-    "initialpose": ("/initialpose", POSE),
-    "clock": ("/clock", CLOCK),
+    "camera_info": ("/camera/camera_info", RosType.CAMERA_INFO),
+    "odometry": ("/odom", RosType.ODOMETRY),
+    "groundtruth": ("/ground_truth/odom", RosType.ODOMETRY),
+    "transforms": ("/tf_static", RosType.TRANSFORMS),
+    "moving_transforms": ("/tf", RosType.TRANSFORMS),
+    "initialpose": ("/initialpose", RosType.POSE),
+    "clock": ("/clock", RosType.CLOCK),
 }
 TOPICS = {role: topic for role, (topic, _) in _ROLES.items()}
 """What is listened to by what it is for, unless another topic is named; to the clock only where it is asked for."""
@@ -116,7 +107,7 @@ class Inbox:
 def type_of(role: str, topic: str) -> str:
     """Return the type of the messages on a topic; compressed images are told by its name, as ROS has it."""
     if role == "image":
-        return COMPRESSED if topic.rsplit("/", 1)[-1].startswith("compressed") else IMAGE
+        return RosType.COMPRESSED if topic.rsplit("/", 1)[-1].startswith("compressed") else RosType.IMAGE
     return _ROLES[role][1]
 
 
@@ -132,7 +123,7 @@ def topic_for(role: str, name: str) -> Topic:
 def message_of(arrival: Arrival) -> Any:
     """Return the message that arrived. Raises ValueError when it is not one of its type."""
     msgtype = type_of(arrival.role, arrival.topic)
-    most = MOST_TRANSFORMS_BYTES if msgtype == TRANSFORMS else MOST_MESSAGE_BYTES
+    most = MOST_TRANSFORMS_BYTES if msgtype == RosType.TRANSFORMS else MOST_MESSAGE_BYTES
     if len(arrival.content) > most:
         raise ValueError(f"expected at most {most} bytes, found {len(arrival.content)}")
     try:

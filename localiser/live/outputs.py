@@ -27,7 +27,7 @@ from localiser.live.monitor import Monitor
 from localiser.live.transport import Topic, Transport
 from localiser.replay import Sink
 from localiser.ros import Frames, Message, Outgoing, Output
-from localiser.storage.bags import DECISIONS_TOPIC, TEXT, BagRecorder, Messages
+from localiser.storage.bags import DECISIONS_TOPIC, BagRecorder, Messages, RosType
 
 MOST_LINES = 1000
 RADIUS_95 = 2.4477  # sigmas of a position in two directions
@@ -234,7 +234,7 @@ class Recording:
 
     def tell(self, topic: str, text: str) -> None:
         """Record what no message says."""
-        self.send(topic, TEXT, self._messages.encode(self._messages.text(text)))
+        self.send(topic, RosType.TEXT, self._messages.encode(self._messages.text(text)))
 
     def close(self) -> None:
         """Write what waits, and end."""

@@ -15,12 +15,13 @@ from localiser.errors import InputError
 from localiser.geometry import Trajectory
 from localiser.live.transport import Topic, Transport
 from localiser.storage import ImageEvent, Log, require_odometry
-from localiser.storage.bags import CAMERA_INFO, COMPRESSED, MAP, ODOM, ODOMETRY, TRANSFORMS, Messages
+from localiser.storage.bags import MAP, ODOM, Messages, RosType
 
-IMAGE, INFO = Topic("/camera/image_raw/compressed", COMPRESSED, depth=5), Topic("/camera/camera_info", CAMERA_INFO)
-WHEELS, TRUTH = Topic("/odom", ODOMETRY), Topic("/ground_truth/odom", ODOMETRY)
-FIXED = Topic("/tf_static", TRANSFORMS, latched=True, depth=1)
-MOVING = Topic("/tf", TRANSFORMS, depth=100)
+IMAGE = Topic("/camera/image_raw/compressed", RosType.COMPRESSED, depth=5)
+INFO = Topic("/camera/camera_info", RosType.CAMERA_INFO)
+WHEELS, TRUTH = Topic("/odom", RosType.ODOMETRY), Topic("/ground_truth/odom", RosType.ODOMETRY)
+FIXED = Topic("/tf_static", RosType.TRANSFORMS, latched=True, depth=1)
+MOVING = Topic("/tf", RosType.TRANSFORMS, depth=100)
 ODOMETRY_HZ = 100.0  # to which a log's odometry is interpolated
 _FORGIVEN_S = 1.0  # what a robot that was held up sends late; older messages it has lost
 _NS = 1_000_000_000

@@ -26,10 +26,10 @@ from localiser.ros import OUTPUTS, Message, Outgoing
 from localiser.storage import Log, RunFolder, TrackWriter, json_text, require_new_file, write_text
 from localiser.storage.bags import (
     FILE_KINDS,
-    TRANSFORMS,
     WHEELS_TOPIC,
     Messages,
     NewBag,
+    RosType,
     check_times,
     floor_pose,
     log_messages,
@@ -132,7 +132,7 @@ class ReplayBag:
             self._write(bag, message)
         if odometry is not None:
             driven = self._make.encode(self._make.robot_in_odometry(t_ns, odometry))
-            bag.write(OUTPUTS["tf"].topic, TRANSFORMS, t_ns, driven)
+            bag.write(OUTPUTS["tf"].topic, RosType.TRANSFORMS, t_ns, driven)
 
     def _write(self, bag: NewBag, message: Message) -> None:
         output = OUTPUTS[message.kind]

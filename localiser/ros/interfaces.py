@@ -14,18 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from localiser.documents import nearest
 from localiser.errors import InputError
-from localiser.storage.bags import (
-    COMPRESSED,
-    DIAGNOSTICS,
-    MAP_TOPIC,
-    MARKERS,
-    PATH,
-    POSE,
-    POSES,
-    TEXT,
-    TRANSFORMS,
-    Messages,
-)
+from localiser.storage.bags import MAP_TOPIC, Messages, RosType
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -45,16 +34,16 @@ class Output:
 
 
 OUTPUTS = {
-    "pose": Output("/localiser/pose", POSE, latched=True, depth=1),
-    "tf": Output("/tf", TRANSFORMS, depth=100),
-    "particles": Output("/localiser/particles", POSES),
-    "map": Output(MAP_TOPIC, TEXT, latched=True, depth=1),
-    "landmarks": Output("/localiser/landmarks", MARKERS, latched=True, depth=1),
-    "matches": Output("/localiser/matches", MARKERS),
-    "path": Output("/localiser/path", PATH),
-    "places": Output("/localiser/places", TEXT),
-    "image": Output("/localiser/image/compressed", COMPRESSED),
-    "diagnostics": Output("/diagnostics", DIAGNOSTICS),
+    "pose": Output("/localiser/pose", RosType.POSE, latched=True, depth=1),
+    "tf": Output("/tf", RosType.TRANSFORMS, depth=100),
+    "particles": Output("/localiser/particles", RosType.POSES),
+    "map": Output(MAP_TOPIC, RosType.TEXT, latched=True, depth=1),
+    "landmarks": Output("/localiser/landmarks", RosType.MARKERS, latched=True, depth=1),
+    "matches": Output("/localiser/matches", RosType.MARKERS),
+    "path": Output("/localiser/path", RosType.PATH),
+    "places": Output("/localiser/places", RosType.TEXT),
+    "image": Output("/localiser/image/compressed", RosType.COMPRESSED),
+    "diagnostics": Output("/diagnostics", RosType.DIAGNOSTICS),
 }
 """Every kind by its name, with the topic that it has unless another is asked for."""
 

@@ -19,7 +19,7 @@ from localiser.image_files import decode
 from localiser.landmarks import LandmarkMap, landmark_ends, predicted_lines
 from localiser.ros.interfaces import OUTPUTS
 from localiser.storage import encode_image, map_text
-from localiser.storage.bags import DIAGNOSTICS, MAP, MARKERS, ODOM, OPTICAL, PATH, POSES, Messages, header
+from localiser.storage.bags import MAP, ODOM, OPTICAL, Messages, RosType, header
 from localiser.view import MATCHED, UNMATCHED, VISIBLE, Colour
 
 _LINES, _ADD, _DELETE = 5, 0, 2  # LINE_LIST, ADD and DELETE of visualization_msgs/Marker
@@ -32,7 +32,7 @@ _POST_M, _SIGHT_M = 0.03, 0.01
 def landmark_markers(make: Messages, ends: Array, stamp_ns: int, frame: str) -> Any:
     """Return one marker: every landmark as an upright line between its ends (L, 2, 3) in the map."""
     lines = _lines(make, stamp_ns, frame, "landmarks", ends, VISIBLE, _POST_M)
-    return make.make(MARKERS, markers=[lines])
+    return make.make(RosType.MARKERS, markers=[lines])
 
 
 def match_markers(make: Messages, found: LocatedFrame, ends: Array, camera: Camera, stamp_ns: int, frame: str) -> Any:
@@ -46,7 +46,8 @@ def match_markers(make: Messages, found: LocatedFrame, ends: Array, camera: Came
     here = np.broadcast_to([x, camera.mount.height_m, z], (len(seen), 3))
     sights = np.stack([here, seen.mean(axis=1)], axis=1)
     posts = _lines(make, stamp_ns, frame, "matched", seen, MATCHED, _POST_M)
-    return make.make(MARKERS, markers=[posts, _lines(make, stamp_ns, frame, "sights", sights, MATCHED, _SIGHT_M)])
+    lines = _lines(make, stamp_ns, frame, "sights", sights, MATCHED, _SIGHT_M)
+    return make.make(RosType.MARKERS, markers=[posts, lines])
 
 
 def _lines(make: Messages, stamp_ns: int, frame: str, name: str, ends: Array, colour: Colour, width_m: float) -> Any:
@@ -140,7 +141,7 @@ def diagnostics(make: Messages, frame: LocatedFrame, stamp_ns: int, facts: Mappi
         message=text,
         values=[make.make("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()],
     )
-    return make.make(DIAGNOSTICS, header=header(stamp_ns, ""), status=[status])
+    return make.make(RosType.DIAGNOSTICS, header=header(stamp_ns, ""), status=[status])
 
 
 @dataclass(slots=True, eq=False)
@@ -173,7 +174,7 @@ class DrivenPath:
             stamped(header=head(stamp=time(*divmod(at_ns, _NS)), frame_id=frame), pose=pose)
             for at_ns, pose in zip(self._stamps_ns, make.poses(np.array(self._poses)), strict=True)
         ]
-        return make.make(PATH, header=header(stamp_ns, frame), poses=poses)
+        return make.make(RosType.PATH, header=header(stamp_ns, frame), poses=poses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +320,7 @@ class Outgoing:
         """Return a geometry_msgs/PoseArray of at most MOST_PARTICLES, each as likely as its weight."""
         poses = spread_out(located)
         here = self._make.poses(poses[self.landmark_map.is_on(self._map_name, poses)])
-        return self._make.make(POSES, header=header(stamp_ns, self.map_frame), poses=here)
+        return self._make.make(RosType.POSES, header=header(stamp_ns, self.map_frame), poses=here)
 
 
 def places_of(frame: LocatedFrame, landmark_map: LandmarkMap) -> list[dict[str, Any]]:

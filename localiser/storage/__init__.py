@@ -6,15 +6,7 @@ from localiser.storage.cameras import camera_error, read_camera, write_camera
 from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, decode, encode, fingerprint, identity_of
 from localiser.storage.files import is_video, require_new, require_new_file
 from localiser.storage.folder import FolderReader, write_log
-from localiser.storage.images import (
-    MAX_IMAGE_BYTES,
-    Image,
-    ImageEvent,
-    check_whole,
-    decoded,
-    encode_image,
-    read_image,
-)
+from localiser.storage.images import MAX_IMAGE_BYTES, Image, ImageEvent, check_whole, decoded, encode_image, read_image
 from localiser.storage.log import Event, Log, LogReader, ReadOptions, jump_text, require_odometry, thinned
 from localiser.storage.maps import map_text, read_map, read_maps, write_map
 from localiser.storage.open import FORMATS, open_log, read_world, simulate_log

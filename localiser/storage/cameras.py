@@ -10,17 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount, RollingShutter
-from localiser.documents import (
-    Document,
-    dump,
-    is_name,
-    load,
-    parse,
-    read_text,
-    shown,
-    validate,
-    write_text,
-)
+from localiser.documents import Document, dump, is_name, load, parse, read_text, shown, validate, write_text
 from localiser.errors import InputError
 from localiser.storage.files import CAMERA, inside, refuse_other
 

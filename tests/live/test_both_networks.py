@@ -15,9 +15,9 @@ from short_log import CORRIDOR, Localiser
 from localiser.live import open_transport
 from localiser.live.transport import Topic
 from localiser.storage import open_log, read_track
-from localiser.storage.bags import ODOM, ODOMETRY, Messages
+from localiser.storage.bags import ODOM, Messages, RosType
 
-WHEELS = Topic("/odom", ODOMETRY)
+WHEELS = Topic("/odom", RosType.ODOMETRY)
 LIVE = ("live", "--map", CORRIDOR / "map.yaml", "--start", START, "--json", *SETTINGS)
 ROBOT = ("simulate", CORRIDOR, "--serve", "--quiet")
 MAKE = Messages()

@@ -21,7 +21,7 @@ from localiser.live.dds_transport import dds_name, dds_type
 from localiser.live.outputs import Publisher
 from localiser.live.transport import Reply, Topic, Transport
 from localiser.ros import SERVICES, outputs_named, service_bytes
-from localiser.storage.bags import POSE, Messages, floor_pose, stamp_of, typestore
+from localiser.storage.bags import Messages, RosType, floor_pose, stamp_of, typestore
 
 COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
 PATIENCE_S = 60.0
@@ -37,7 +37,7 @@ def test_names_are_those_of_ros() -> None:
 @pytest.mark.parametrize("name", ["/", "/a b", "/a//b", "/ä", "/a*"])
 def test_a_name_that_ros_does_not_allow_is_refused(name: str) -> None:
     with pytest.raises(InputError, match="expected the name of a topic"):
-        dds_name(Topic(name, POSE))
+        dds_name(Topic(name, RosType.POSE))
 
 
 @contextmanager
@@ -65,7 +65,7 @@ def test_an_interface_that_is_not_there_is_told() -> None:
 
 
 def test_a_pose_is_heard_by_types_that_are_not_ours() -> None:
-    make, topic = Messages(), Topic("/localiser/pose", POSE)
+    make, topic = Messages(), Topic("/localiser/pose", RosType.POSE)
     content = make.encode(make.pose_in_map(7_000_000_009, np.array([1.0, 2.0, 0.5]), np.diag([0.04, 0.05, 0.06])))
     with joined(HEARS) as transport, counterpart(HEARS, "hear") as other:
         wait_until(lambda: transport.is_heard(topic))
@@ -93,12 +93,12 @@ def test_the_last_pose_reaches_a_transient_local_subscriber_that_comes_late() ->
 
 def test_what_is_latched_reaches_those_who_come_late() -> None:
     heard: list[tuple[bytes, bytes]] = []
-    topic = Topic("/initialpose", POSE, latched=True, depth=1)
+    topic = Topic("/initialpose", RosType.POSE, latched=True, depth=1)
     with joined(LATE) as transport, counterpart(LATE, "latched") as other:
         assert other.stdout is not None and other.stdout.readline() == "ready\n"
         transport.subscribe(topic, lambda content, source: heard.append((content, source)))
         wait_until(lambda: heard)
-    message = typestore(ros1=False).deserialize_cdr(heard[0][0], POSE)
+    message = typestore(ros1=False).deserialize_cdr(heard[0][0], RosType.POSE)
     assert stamp_of(message) == 12_000_000_034 and floor_pose(message)[:2] == (1.5, 2.0)
     assert heard[0][1], "who sent it"
 
@@ -107,7 +107,7 @@ def test_a_quality_of_service_that_does_not_fit_is_told() -> None:
     told: list[str] = []
     with joined(MISMATCHED) as transport, counterpart(MISMATCHED, "mismatched"):
         transport.report_to(told.append)
-        transport.subscribe(Topic("/initialpose", POSE, latched=True), lambda content, source: None)
+        transport.subscribe(Topic("/initialpose", RosType.POSE, latched=True), lambda content, source: None)
         wait_until(lambda: told)
     assert "/initialpose: a publisher has another quality of service" in told[0]
     assert "durability" in told[0] or "reliability" in told[0]
@@ -120,9 +120,9 @@ def test_who_is_slow_gets_the_newest_messages_of_a_flood() -> None:
 
     def take(content: bytes, source: bytes) -> None:
         received.wait(PATIENCE_S)
-        heard.append(stamp_of(typestore(ros1=False).deserialize_cdr(content, POSE)) // 10**9)
+        heard.append(stamp_of(typestore(ros1=False).deserialize_cdr(content, RosType.POSE)) // 10**9)
 
-    topic = Topic("/initialpose", POSE, depth=10)
+    topic = Topic("/initialpose", RosType.POSE, depth=10)
     with joined(FLOODED) as transport, counterpart(FLOODED, "flood") as other:
         transport.subscribe(topic, take)
         assert other.stdout is not None and other.stdout.readline() == "received\n"
@@ -148,7 +148,7 @@ def test_a_service_answers_who_asks() -> None:
 
 def test_a_node_has_a_name_and_its_topics() -> None:
     with joined(NODES, namespace="robot1") as transport, counterpart(NODES, "nodes") as other:
-        transport.advertise(Topic("/localiser/pose", POSE))
-        transport.subscribe(Topic("/initialpose", POSE), lambda content, source: None)
+        transport.advertise(Topic("/localiser/pose", RosType.POSE))
+        transport.subscribe(Topic("/initialpose", RosType.POSE), lambda content, source: None)
         assert other.stdout is not None
         assert other.stdout.read() == "/robot1 localiser [['rt/localiser/pose'], ['rt/initialpose']]\n"

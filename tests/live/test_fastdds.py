@@ -14,7 +14,7 @@ from live_processes import free_domain, wait_until
 from localiser.config import LiveParameters
 from localiser.live import open_transport
 from localiser.live.transport import Topic
-from localiser.storage.bags import IMAGE, ODOMETRY, POSE, Messages, floor_pose, typestore
+from localiser.storage.bags import Messages, RosType, floor_pose, typestore
 from localiser.storage.bags.messages import stated_size
 
 IMAGES, RATE_HZ = 60, 20.0
@@ -34,7 +34,7 @@ def peer(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_pose_is_heard_by_fast_dds(peer: Path) -> None:
-    make, topic, domain = Messages(), Topic("/localiser/pose", POSE), free_domain()
+    make, topic, domain = Messages(), Topic("/localiser/pose", RosType.POSE), free_domain()
     content = make.encode(make.pose_in_map(7_000_000_009, np.array([1.0, 2.0, 0.0]), np.diag([0.04, 0.05, 0.06])))
     with (
         closing(open_transport(LiveParameters(dds=domain))) as transport,
@@ -57,9 +57,11 @@ def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -
     wheels: list[bytes] = []
     command = [peer, str(domain), "send", "reliable" if reliable else "best", str(IMAGES), str(RATE_HZ)]
     with closing(open_transport(LiveParameters(dds=domain))) as transport:
-        image = Topic("/camera/image_raw", IMAGE, reliable=reliable, depth=5)
+        image = Topic("/camera/image_raw", RosType.IMAGE, reliable=reliable, depth=5)
         transport.subscribe(image, lambda content, source: images.append(content))
-        transport.subscribe(Topic("/odom", ODOMETRY, reliable=reliable), lambda content, source: wheels.append(content))
+        transport.subscribe(
+            Topic("/odom", RosType.ODOMETRY, reliable=reliable), lambda content, source: wheels.append(content)
+        )
         with subprocess.Popen(command, stdin=subprocess.PIPE, text=True) as process:
             wait_until(lambda: images and wheels)
             assert process.stdin is not None
@@ -69,12 +71,12 @@ def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -
             process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0
     store = typestore(ros1=False)
-    heard = [store.deserialize_cdr(content, IMAGE) for content in sent(images)]
+    heard = [store.deserialize_cdr(content, RosType.IMAGE) for content in sent(images)]
     assert [one.data[0] for one in heard] == sorted({one.data[0] for one in heard}), "in their order, none twice"
     assert all(stated_size(one) == (640, 480) and (one.data == one.data[0]).all() for one in heard)
     assert all(one.header.frame_id == "camera_optical_frame" for one in heard)
     if reliable:
-        assert floor_pose(store.deserialize_cdr(wheels[-1], ODOMETRY))[0] == pytest.approx(0.01 * (IMAGES - 1))
+        assert floor_pose(store.deserialize_cdr(wheels[-1], RosType.ODOMETRY))[0] == pytest.approx(0.01 * (IMAGES - 1))
 
 
 def sent(images: list[bytes]) -> list[bytes]:

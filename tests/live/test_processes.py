@@ -23,7 +23,7 @@ from localiser.config import LiveParameters
 from localiser.live import open_transport
 from localiser.live.transport import Topic
 from localiser.storage import open_log, read_track
-from localiser.storage.bags import POSE
+from localiser.storage.bags import RosType
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals and limits as Linux has them")
@@ -146,7 +146,7 @@ def test_a_router_that_is_killed_and_comes_back() -> None:
                 program("simulate", CORRIDOR, "--serve", "--set", f"live.connect={endpoint}"),
                 closing(open_transport(LiveParameters([endpoint], domain=0))) as other,
             ):
-                other.subscribe(Topic("/localiser/pose", POSE), lambda content, source: heard.append(content))
+                other.subscribe(Topic("/localiser/pose", RosType.POSE), lambda content, source: heard.append(content))
                 run.poses(IMAGES)
                 killed.end(signal.SIGKILL)
                 run.wait_to_say("image: nothing")

@@ -22,7 +22,7 @@ from localiser.live.clock import AGREEING
 from localiser.live.inbox import Arrival
 from localiser.live.outputs import Recording
 from localiser.storage import open_log, read_track
-from localiser.storage.bags import TEXT
+from localiser.storage.bags import RosType
 from localiser.storage.images import encode_image
 
 PATIENCE_S = 60.0
@@ -31,12 +31,12 @@ PATIENCE_S = 60.0
 def test_a_recording_is_committed_while_it_goes_on(tmp_path: Path) -> None:
     failures: list[str] = []
     recording = Recording(tmp_path / "a.db3", failures.append)
-    recording.write("/a", TEXT, 1, text("now"))
+    recording.write("/a", RosType.TEXT, 1, text("now"))
     end = time.monotonic() + PATIENCE_S
     while time.monotonic() < end and not _readable(tmp_path / "a.db3"):
         time.sleep(0.05)
     assert texts(tmp_path / "a.db3") == ["now"]
-    recording.write("/a", TEXT, 2, text("later"))
+    recording.write("/a", RosType.TEXT, 2, text("later"))
     recording.close()
     assert texts(tmp_path / "a.db3") == ["now", "later"] and not failures
 
@@ -59,12 +59,12 @@ def test_a_full_disk_ends_the_recording_with_a_word(tmp_path: Path, monkeypatch:
     failures: list[str] = []
     recording = Recording(tmp_path / "a.db3", failures.append)
     for k in range(200):
-        recording.write("/a", TEXT, k, text("x" * 4000))
+        recording.write("/a", RosType.TEXT, k, text("x" * 4000))
     end = time.monotonic() + PATIENCE_S
     while not failures and time.monotonic() < end:
         time.sleep(0.05)
     assert len(failures) == 1 and "full" in failures[0] and "the run goes on" in failures[0]
-    recording.write("/a", TEXT, 1000, text("too late"))  # no error
+    recording.write("/a", RosType.TEXT, 1000, text("too late"))  # no error
     recording.close()
 
 

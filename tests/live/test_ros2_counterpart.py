@@ -22,17 +22,7 @@ from short_log import CORRIDOR
 
 from localiser.geometry import pose_from_ros
 from localiser.storage import ImageEvent
-from localiser.storage.bags import (
-    CAMERA_INFO,
-    COMPRESSED,
-    MARKERS,
-    ODOM,
-    ODOMETRY,
-    POSE,
-    TRANSFORMS,
-    Messages,
-    typestore,
-)
+from localiser.storage.bags import ODOM, Messages, RosType, typestore
 
 pytest.importorskip("zenoh")
 sdk = pytest.importorskip("zenoh_ros2_sdk", reason="needs zenoh-ros2-sdk, of the extra `dev`")
@@ -66,7 +56,11 @@ class Robot:
 
     def __init__(self, at: dict[str, Any]) -> None:
         self.begin_ns = time.time_ns()
-        names = {COMPRESSED: "/camera/image_raw/compressed", CAMERA_INFO: "/camera/camera_info", ODOMETRY: "/odom"}
+        names = {
+            RosType.COMPRESSED: "/camera/image_raw/compressed",
+            RosType.CAMERA_INFO: "/camera/camera_info",
+            RosType.ODOMETRY: "/odom",
+        }
         self._publishers = {kind: sdk.ROS2Publisher(name, **typed(kind), **at) for kind, name in names.items()}
         self._stop, self._go = Event(), Event()
         self._thread = Thread(target=self._drive, daemon=True)
@@ -76,7 +70,7 @@ class Robot:
         from zenoh_ros2_sdk.attachment import Attachment
         from zenoh_ros2_sdk.keyexpr import topic_keyexpr
 
-        kind = typestore(ros1=False).hash_rihs01(TRANSFORMS)
+        kind = typestore(ros1=False).hash_rihs01(RosType.TRANSFORMS)
         key = topic_keyexpr(domain, "/tf_static", "tf2_msgs::msg::dds_::TFMessage_", kind)
         session = sdk.ZenohSession.get_instance().session
         publisher = ext.declare_advanced_publisher(session, key, cache=ext.CacheConfig(1), publisher_detection=True)
@@ -107,19 +101,19 @@ class Robot:
         self.begin_ns = sys.maxsize
         while not self._go.wait(0.1):
             now_ns = time.time_ns()
-            self._send(ODOMETRY, MAKE.odometry(now_ns, ODOM, LOG.odometry.at(image.t_ns)))
-            self._send(CAMERA_INFO, MAKE.camera_info(now_ns, LOG.camera))
-            self._send(COMPRESSED, MAKE.compressed(now_ns, image.encoded()))
+            self._send(RosType.ODOMETRY, MAKE.odometry(now_ns, ODOM, LOG.odometry.at(image.t_ns)))
+            self._send(RosType.CAMERA_INFO, MAKE.camera_info(now_ns, LOG.camera))
+            self._send(RosType.COMPRESSED, MAKE.compressed(now_ns, image.encoded()))
         self.begin_ns = time.time_ns() + 10_000_000
         for event in LOG.events(None, anywhere=True):
             stamp_ns = self.begin_ns + event.t_ns
             if self._stop.wait(max((stamp_ns - time.time_ns()) / 1e9, 0.0)):
                 return
             if isinstance(event, ImageEvent):
-                self._send(CAMERA_INFO, MAKE.camera_info(stamp_ns, LOG.camera))
-                self._send(COMPRESSED, MAKE.compressed(stamp_ns, event.encoded()))
+                self._send(RosType.CAMERA_INFO, MAKE.camera_info(stamp_ns, LOG.camera))
+                self._send(RosType.COMPRESSED, MAKE.compressed(stamp_ns, event.encoded()))
             elif hasattr(event, "pose"):
-                self._send(ODOMETRY, MAKE.odometry(stamp_ns, ODOM, event.pose))
+                self._send(RosType.ODOMETRY, MAKE.odometry(stamp_ns, ODOM, event.pose))
 
     def _send(self, kind: str, message: Any) -> None:
         fields = {name: getattr(message, name) for name in message.__dataclass_fields__ if name != "__msgtype__"}
@@ -135,8 +129,8 @@ def test_a_live_run_and_the_counterpart_hear_each_other(endpoint: str) -> None:
     transforms: list[Any] = []
     landmarks: list[Any] = []
     heard = [
-        sdk.ROS2Subscriber("/localiser/pose", callback=poses.append, **typed(POSE), **at),
-        sdk.ROS2Subscriber("/tf", callback=transforms.append, **typed(TRANSFORMS), **at),
+        sdk.ROS2Subscriber("/localiser/pose", callback=poses.append, **typed(RosType.POSE), **at),
+        sdk.ROS2Subscriber("/tf", callback=transforms.append, **typed(RosType.TRANSFORMS), **at),
     ]
     robot = Robot(at)
     latched = robot.latch_transforms(at["domain_id"])
@@ -150,7 +144,7 @@ def test_a_live_run_and_the_counterpart_hear_each_other(endpoint: str) -> None:
             lines = run.poses(8)
             wait_until(lambda: len(poses) >= 8 and len(transforms) >= 20)
             kept = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=1)
-            late = sdk.ROS2Subscriber("/landmarks", callback=landmarks.append, **typed(MARKERS), qos=kept, **at)
+            late = sdk.ROS2Subscriber("/landmarks", callback=landmarks.append, **typed(RosType.MARKERS), qos=kept, **at)
             wait_until(lambda: landmarks)
             found = dict(get_topic_names_and_types(**at))
     for subscriber in (*heard, late):
@@ -164,5 +158,9 @@ def test_a_live_run_and_the_counterpart_hear_each_other(endpoint: str) -> None:
     (stamped,) = transforms[-1].transforms
     assert (stamped.header.frame_id, stamped.child_frame_id) == ("map", "odom")
     assert len(landmarks[0].markers[0].points) == 2 * len(LOG.landmark_map)
-    for topic, kind in (("/localiser/pose", POSE), ("/tf", TRANSFORMS), ("/landmarks", MARKERS)):
+    for topic, kind in (
+        ("/localiser/pose", RosType.POSE),
+        ("/tf", RosType.TRANSFORMS),
+        ("/landmarks", RosType.MARKERS),
+    ):
         assert kind in found[topic], found

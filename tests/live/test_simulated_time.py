@@ -14,7 +14,7 @@ from short_log import Localiser
 from localiser.filter import Start
 from localiser.live.clock import SLACK_NS, SimulatedTime
 from localiser.live.inbox import Arrival
-from localiser.storage.bags import CLOCK
+from localiser.storage.bags import RosType
 
 N = 6
 STEP_NS = 25_000_000
@@ -22,7 +22,7 @@ STEP_NS = 25_000_000
 
 def clock(t_ns: int) -> Arrival:
     seconds, nanoseconds = divmod(BEGIN_NS + t_ns, 10**9)
-    return arrival("clock", t_ns, MAKE.encode(MAKE.make(CLOCK, clock={"sec": seconds, "nanosec": nanoseconds})))
+    return arrival("clock", t_ns, MAKE.encode(MAKE.make(RosType.CLOCK, clock={"sec": seconds, "nanosec": nanoseconds})))
 
 
 def played(messages: list[Arrival], rate: float, begin_ns: int = 0) -> Iterable[Arrival]:

@@ -20,7 +20,7 @@ from localiser.live import Passage, StandIn, open_transport
 from localiser.live.stand_in import IMAGE, TRUTH, WHEELS
 from localiser.live.transport import Topic, Transport
 from localiser.storage import open_log
-from localiser.storage.bags import ODOMETRY, floor_pose, stamp_of, typestore
+from localiser.storage.bags import RosType, floor_pose, stamp_of, typestore
 
 EVERY = {IMAGE: 7, WHEELS: 3}
 """One of so many messages goes wrong."""
@@ -42,7 +42,7 @@ class FaultyTransport:
 
     def publish(self, topic: Topic, content: bytes) -> None:
         if topic == TRUTH:
-            message = typestore(ros1=False).deserialize_cdr(content, ODOMETRY)
+            message = typestore(ros1=False).deserialize_cdr(content, RosType.ODOMETRY)
             sys.stdout.write(f"{json.dumps({'t_ns': stamp_of(message), 'pose': floor_pose(message)})}\n")
             sys.stdout.flush()
         for message in self._made_of(topic, content) if topic in EVERY else [content]:

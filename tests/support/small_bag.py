@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rosbags import rosbag1, rosbag2
 
-from localiser.storage.bags import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TRANSFORMS, Messages
+from localiser.storage.bags import Messages, RosType
 
 WIDTH, HEIGHT = 8, 6
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # quaternion of an optical frame that looks straight ahead, tilted by nothing
@@ -39,17 +39,17 @@ class Recorder:
         grey = np.full((HEIGHT, WIDTH), t_ns % 251, dtype=np.uint8)
         fields = {"width": WIDTH, "height": HEIGHT, "encoding": "mono8", "step": WIDTH, "data": grey.ravel()} | fields
         recorded = t_ns if recorded_ns is None else recorded_ns
-        self.send(topic, IMAGE, recorded, header=self.header(t_ns, "optical"), **fields)
+        self.send(topic, RosType.IMAGE, recorded, header=self.header(t_ns, "optical"), **fields)
 
     def compressed(self, t_ns: int, data: bytes, topic: str = "/cam/image/compressed") -> None:
         pixels = np.frombuffer(data, dtype=np.uint8)
-        self.send(topic, COMPRESSED, t_ns, header=self.header(t_ns, "optical"), format="jpeg", data=pixels)
+        self.send(topic, RosType.COMPRESSED, t_ns, header=self.header(t_ns, "optical"), format="jpeg", data=pixels)
 
     def info(self, t_ns: int = 0, topic: str = "/cam/camera_info", focal: float = 10.0, **fields: Any) -> None:
         matrix = np.array([focal, 0, 3.5, 0, focal, 2.5, 0, 0, 1.0])
         names = "K" if self.ros1 else "k"
         fields = {"width": WIDTH, "height": HEIGHT, "distortion_model": "plumb_bob", names: matrix} | fields
-        self.send(topic, CAMERA_INFO, t_ns, header=self.header(t_ns, "optical"), **fields)
+        self.send(topic, RosType.CAMERA_INFO, t_ns, header=self.header(t_ns, "optical"), **fields)
 
     def odometry(
         self,
@@ -63,7 +63,7 @@ class Recorder:
     ) -> None:
         pose = {"pose": {"position": {"x": x}, "orientation": {"w": 1.0} | turned}}
         recorded = t_ns if recorded_ns is None else recorded_ns
-        self.send(topic, ODOMETRY, recorded, header=self.header(t_ns, "odom"), child_frame_id=base, pose=pose)
+        self.send(topic, RosType.ODOMETRY, recorded, header=self.header(t_ns, "odom"), child_frame_id=base, pose=pose)
 
     def pose(self, t_ns: int, x: float, topic: str, kind: str) -> None:
         """Write a pose as PoseStamped, PoseWithCovarianceStamped or TransformStamped."""
@@ -83,7 +83,7 @@ class Recorder:
         rotation: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0),
         topic: str = "/tf_static",
         t_ns: int = 0,
-        msgtype: str = TRANSFORMS,
+        msgtype: str = RosType.TRANSFORMS,
     ) -> None:
         moved = dict(zip("xyz", map(float, translation), strict=True))
         turned = dict(zip("xyzw", map(float, rotation), strict=True))

@@ -19,13 +19,13 @@ from localiser.documents import nearest, open_regular, parse, read_text, require
 from localiser.errors import InputError, LocaliserError
 from localiser.storage.bags.database import BESIDE, MAGIC, Database, beside, restored
 from localiser.storage.bags.frames import stamp_of
-from localiser.storage.bags.messages import CAMERA_INFO, COMPRESSED, IMAGE, IMU, ODOMETRY, POSE, TEXT, typestore
+from localiser.storage.bags.messages import typestore
 from localiser.storage.bags.records import (
-    TRANSFORMS,
     Allowance,
     BrokenOffError,
     Packed,
     Records,
+    RosType,
     check_topics,
     records_of,
     zstd,
@@ -161,7 +161,7 @@ class Bag:
         with bag_errors(self.path, where):
             if self._mode == "message":
                 data, is_whole = allowance.unpacked(zstd().ZstdDecompressor(), data)
-            if channel.msgtype == TRANSFORMS and len(data) > MOST_TRANSFORMS_BYTES:
+            if channel.msgtype == RosType.TRANSFORMS and len(data) > MOST_TRANSFORMS_BYTES:
                 raise ValueError(f"expected at most {MOST_TRANSFORMS_BYTES} bytes, found {len(data)}")
             if channel.encoding not in ("cdr", "ros1"):
                 raise ValueError(f"expected messages as ROS packs them, cdr or ros1, found {channel.encoding!r:.40}")
@@ -240,13 +240,13 @@ STATE_TOPIC, IMU_TOPIC = "/localiser/state", "/localiser/imu"
 OUR_NAMES = "/localiser/"
 """What is in the names of this program's own topics, in any namespace: no source of images, unless asked for."""
 LABEL_TOPICS = (LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC, DECISIONS_TOPIC, STATE_TOPIC)
-_POSES = (ODOMETRY, POSE, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+_POSES = (RosType.ODOMETRY, RosType.POSE, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 TYPES = {
-    "image": (IMAGE, COMPRESSED),
-    "camera_info": (CAMERA_INFO,),
+    "image": (RosType.IMAGE, RosType.COMPRESSED),
+    "camera_info": (RosType.CAMERA_INFO,),
     "odometry": _POSES,
     "groundtruth": _POSES,
-    "imu": (IMU,),
+    "imu": (RosType.IMU,),
 }
 IMAGE_KINDS = ("image_raw", "image_rect")
 """Images by what was done to them: their lens distortion is as the camera took them, or undone."""
@@ -286,7 +286,7 @@ def choose(
         role: [
             topic
             for topic in topics
-            if topic.msgtype == TRANSFORMS
+            if topic.msgtype == RosType.TRANSFORMS
             and (topic.name.rsplit("/", 1)[-1] == ending or topic.name == stated.get(role))
         ]
         for role, ending in (("moving_transforms", "tf"), ("transforms", "tf_static"))
@@ -313,7 +313,7 @@ def choose(
     image = required("image", [] if "image" in asked else _pictures(of_type["image"], is_picture))
     wheels = [topic for topic in of_type["odometry"] if topic.name != asked.get("groundtruth")]
     truths = [topic for topic in wheels if _TRUTH.search(topic.name) and topic.name != asked.get("odometry")]
-    wheels = [topic for topic in wheels if topic.msgtype == ODOMETRY and topic not in truths]
+    wheels = [topic for topic in wheels if topic.msgtype == RosType.ODOMETRY and topic not in truths]
     single = {
         "image": image,
         "odometry": required("odometry", wheels),
@@ -323,7 +323,9 @@ def choose(
     }
     roles = {topic: role for role, topic in single.items() if topic is not None}
     roles |= {topic: role for role, found in transforms.items() for topic in found}
-    return roles | {topic: topic.name for topic in topics if topic.msgtype == TEXT and topic.name in LABEL_TOPICS}
+    return roles | {
+        topic: topic.name for topic in topics if topic.msgtype == RosType.TEXT and topic.name in LABEL_TOPICS
+    }
 
 
 def choice_text(roles: Mapping[Topic, str], topics: Sequence[Topic]) -> str:

@@ -14,20 +14,11 @@ from localiser.camera import Camera, MountSigma
 from localiser.geometry import Array, ros_cov_from_cov, ros_from_pose
 from localiser.image_files import eight_bits, measure
 from localiser.storage.bags.frames import FLOOR_ROWS, base_from_optical, quaternion_from_rotation
-from localiser.storage.bags.records import TRANSFORMS
+from localiser.storage.bags.records import RosType
 from localiser.storage.images import MAX_IMAGE_BYTES, Image, encode_image, suffix_of
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
-IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO, ODOMETRY = "sensor_msgs/msg/CameraInfo", "nav_msgs/msg/Odometry"
-IMU = "sensor_msgs/msg/Imu"
-TEXT = "std_msgs/msg/String"
-POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-POSES, PATH = "geometry_msgs/msg/PoseArray", "nav_msgs/msg/Path"
-CLOCK = "rosgraph_msgs/msg/Clock"
-MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 BASE, OPTICAL, ODOM, MAP = "base_link", "camera_optical_frame", "odom", "map"
 _NS = 1_000_000_000
@@ -39,8 +30,8 @@ def typestore(*, ros1: bool) -> Typestore:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    if TRANSFORMS not in store.fielddefs:
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
+    if RosType.TRANSFORMS not in store.fielddefs:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", RosType.TRANSFORMS))
     return store
 
 
@@ -81,12 +72,13 @@ class Messages:
 
     def text(self, text: str) -> Any:
         """Return a std_msgs/String."""
-        return self.make(TEXT, data=text)
+        return self.make(RosType.TEXT, data=text)
 
     def compressed(self, t_ns: int, data: bytes, frame: str = OPTICAL) -> Any:
         """Return a sensor_msgs/CompressedImage of a JPEG or PNG file. frame: of the camera."""
         kind = "png" if suffix_of(data) == ".png" else "jpeg"
-        return self.make(COMPRESSED, header=header(t_ns, frame), format=kind, data=np.frombuffer(data, np.uint8))
+        pixels = np.frombuffer(data, np.uint8)
+        return self.make(RosType.COMPRESSED, header=header(t_ns, frame), format=kind, data=pixels)
 
     def camera_info(self, t_ns: int, camera: Camera) -> Any:
         """Return a sensor_msgs/CameraInfo."""
@@ -102,7 +94,7 @@ class Messages:
         }
         if self.ros1:
             fields = {name.upper() if len(name) == 1 else name: value for name, value in fields.items()}
-        return self.make(CAMERA_INFO, header=header(t_ns, OPTICAL), **fields)
+        return self.make(RosType.CAMERA_INFO, header=header(t_ns, OPTICAL), **fields)
 
     def mount(self, t_ns: int, camera: Camera) -> Any:
         """Return the tf2_msgs/TFMessage that says where the camera sits on the robot."""
@@ -120,7 +112,7 @@ class Messages:
         about = (sigma.tilt_rad or 0.0, (sigma.roll_rad or 0.0) * math.cos(camera.mount.tilt_rad), math.pi)
         unknown = np.array([-1.0, *np.zeros(8)])
         return self.make(
-            IMU,
+            RosType.IMU,
             header=header(t_ns, OPTICAL),
             orientation=_named("xyzw", quaternion_from_rotation(turned)),
             orientation_covariance=np.diag(np.square(about)).ravel(),
@@ -130,13 +122,14 @@ class Messages:
 
     def odometry(self, t_ns: int, frame: str, pose: Array) -> Any:
         """Return a nav_msgs/Odometry that says a pose (3,) and no covariance."""
-        return self.make(ODOMETRY, header=header(t_ns, frame), child_frame_id=BASE, pose={"pose": _pose(pose)})
+        return self.make(RosType.ODOMETRY, header=header(t_ns, frame), child_frame_id=BASE, pose={"pose": _pose(pose)})
 
     def pose_in_map(self, t_ns: int, pose: Array, cov: Array, frame: str = MAP) -> Any:
         """Return a geometry_msgs/PoseWithCovarianceStamped of a pose (3,) in the map and its covariance (3, 3)."""
         covariance = np.zeros((6, 6))
         covariance[FLOOR_ROWS] = ros_cov_from_cov(cov)
-        return self.make(POSE, header=header(t_ns, frame), pose={"pose": _pose(pose), "covariance": covariance.ravel()})
+        stated = {"pose": _pose(pose), "covariance": covariance.ravel()}
+        return self.make(RosType.POSE, header=header(t_ns, frame), pose=stated)
 
     def map_from_odometry(self, t_ns: int, pose: Array, odometry: Array, frames: tuple[str, str] = (MAP, ODOM)) -> Any:
         """Return the tf2_msgs/TFMessage from the map to the odometry's frame (REP-105), for two poses (3,) of one time.
@@ -181,7 +174,7 @@ class Messages:
             child_frame_id=child,
             transform={"translation": _named("xyz", moved), "rotation": _named("xyzw", turned)},
         )
-        return self.make(TRANSFORMS, transforms=[stamped])
+        return self.make(RosType.TRANSFORMS, transforms=[stamped])
 
 
 _ZEROS: dict[str, Any] = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}

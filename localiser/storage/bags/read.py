@@ -27,10 +27,10 @@ from localiser.storage.bags.bag import (
     METADATA_FILE,
     STATE_TOPIC,
     SUFFIXES,
-    TEXT,
     TIMES,
     Bag,
     Message,
+    RosType,
     Topic,
     choice_text,
     choose,
@@ -103,7 +103,7 @@ def _is_picture(bag: Bag, topic: Topic) -> bool:
 
 def _stated_topics(bag: Bag) -> Mapping[str, str]:
     """Return which topics a live run listened to, by what they are for, if the bag is a recording of one."""
-    stated = [topic for topic in bag.topics if (topic.name, topic.msgtype) == (LOG_TOPIC, TEXT)]
+    stated = [topic for topic in bag.topics if (topic.name, topic.msgtype) == (LOG_TOPIC, RosType.TEXT)]
     message = next(bag.messages(stated), None)
     return {} if message is None else _label(bag.path, message).topics or {}
 

@@ -12,15 +12,34 @@ from bz2 import BZ2Decompressor
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from enum import StrEnum
 from struct import iter_unpack, unpack_from
 from typing import Any, BinaryIO, NamedTuple
 
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
 MOST_TOPICS = 1000  # of a bag
 MAX_CHUNK_BYTES = 512 * 2**20  # recorders close a chunk after a few MB; one message may exceed that
 MOST_RATIO = 50  # of what is compressed; recorded images come to less than 10
 SMALL_BYTES = 64 * 2**20  # what anything may unpack to, however small it is
 RECORD_BYTES = 100  # what reading a record costs, however short it is
+
+
+class RosType(StrEnum):
+    """Types of the messages that are read and written, as ROS 2 calls them."""
+
+    IMAGE = "sensor_msgs/msg/Image"
+    COMPRESSED = "sensor_msgs/msg/CompressedImage"
+    CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+    ODOMETRY = "nav_msgs/msg/Odometry"
+    IMU = "sensor_msgs/msg/Imu"
+    TEXT = "std_msgs/msg/String"
+    POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    POSES = "geometry_msgs/msg/PoseArray"
+    PATH = "nav_msgs/msg/Path"
+    CLOCK = "rosgraph_msgs/msg/Clock"
+    MARKERS = "visualization_msgs/msg/MarkerArray"
+    DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+    TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
 
 Place = tuple[int, int]
 """Where a message stands: its record in the file, or the chunk that holds it, and its number there."""
@@ -86,7 +105,7 @@ def channel_of(topic: Any, msgtype: Any, encoding: Any) -> Channel:
     if not all(isinstance(text, str) and text.isprintable() for text in (topic, msgtype, encoding)):
         raise ValueError("a topic has no name or no type")
     kind = msgtype.replace("/", "/msg/") if msgtype.count("/") == 1 else msgtype
-    return Channel(topic, TRANSFORMS if kind == "tf/msg/tfMessage" else kind, encoding)
+    return Channel(topic, RosType.TRANSFORMS if kind == "tf/msg/tfMessage" else kind, encoding)
 
 
 class _Bytes:

@@ -25,7 +25,7 @@ from localiser.errors import InputError, InputWarning
 from localiser.storage import ImageEvent, open_log
 from localiser.storage.bags import bag as bags_module
 from localiser.storage.bags import records
-from localiser.storage.bags.bag import CAMERA_INFO, COMPRESSED, IMAGE, ODOMETRY, TEXT, TRANSFORMS
+from localiser.storage.bags.records import RosType
 
 FUZZ = settings(suppress_health_check=list(HealthCheck))
 FILES = {"mcap": "bag.mcap", "sqlite3": "bag.db3", "ros1": "bag.bag", "metadata": "bag/metadata.yaml"}
@@ -36,7 +36,7 @@ def record(recorder: Recorder) -> None:
         recorder.image(step * 10**8)
     recorder.odometry(0, 5.0, topic="/ground_truth/odom")
     recorder.odometry(10**8, 6.0, topic="/ground_truth/odom")
-    recorder.send("/localiser/log", TEXT, 0, data="format: localiser-bag/1\nname: x\n")
+    recorder.send("/localiser/log", RosType.TEXT, 0, data="format: localiser-bag/1\nname: x\n")
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,10 @@ def test_what_is_no_bag_is_named(tmp_path: Path, content: bytes, found: str) -> 
 
 
 @pytest.mark.parametrize("ros1", [False, True], ids=["ros2", "ros1"])
-@pytest.mark.parametrize("msgtype", [IMAGE, COMPRESSED, CAMERA_INFO, ODOMETRY, TRANSFORMS, TEXT])
+@pytest.mark.parametrize(
+    "msgtype",
+    [RosType.IMAGE, RosType.COMPRESSED, RosType.CAMERA_INFO, RosType.ODOMETRY, RosType.TRANSFORMS, RosType.TEXT],
+)
 @settings(FUZZ, max_examples=examples(25))
 @given(data=st.data())
 def test_messages_that_changed(tmp_path: Path, msgtype: str, ros1: bool, data: st.DataObject) -> None:
@@ -195,7 +198,7 @@ def test_messages_that_changed(tmp_path: Path, msgtype: str, ros1: bool, data: s
         recorder.setting()
         record(recorder)
         recorder.compressed(0, b"\xff\xd8\xff\xc0", topic="/other/compressed")
-    topics = {"image": "/other/compressed" if msgtype == COMPRESSED else "/cam/image"}
+    topics = {"image": "/other/compressed" if msgtype == RosType.COMPRESSED else "/cam/image"}
     try:
         with not_hanging():
             for frame in open_log(path, topics=topics).frames:
@@ -234,8 +237,11 @@ class Tampered:
         (lambda r: r.info(5, width=9), "found intrinsics that change: image_width from 8 to 9$"),
         (lambda r: r.info(5, d=np.ones(5)), "found intrinsics that change: distortion_coefficients from"),
         (lambda r: r.info(5, binning_x=2), "found intrinsics that change: binning from"),
-        (lambda r: r.send("/localiser/log", TEXT, 5, data="name: 3"), "/localiser/log:.*format: expected a value"),
-        (lambda r: r.send("/localiser/map", TEXT, 5, data="a: [1"), "/localiser/map:.*not valid YAML"),
+        (
+            lambda r: r.send("/localiser/log", RosType.TEXT, 5, data="name: 3"),
+            "/localiser/log:.*format: expected a value",
+        ),
+        (lambda r: r.send("/localiser/map", RosType.TEXT, 5, data="a: [1"), "/localiser/map:.*not valid YAML"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, change: Callable[[Recorder], None], problem: str) -> None:
@@ -316,7 +322,8 @@ def harmful_database(path: Path, harm: str) -> None:
             "BEGIN;CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, "
             "offered_qos_profiles TEXT);"
             f"CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, {data});{more}"
-            f"INSERT INTO topics VALUES(1, '/image', '{IMAGE}', 'cdr', ''), (2, '/odom', '{ODOMETRY}', 'cdr', '');"
+            f"INSERT INTO topics VALUES(1, '/image', '{RosType.IMAGE}', 'cdr', ''), "
+            f"(2, '/odom', '{RosType.ODOMETRY}', 'cdr', '');"
             "COMMIT"
         )
         database.executemany("INSERT INTO messages(topic_id, timestamp) VALUES(?, ?)", [(1, 1), (2, 2)])

@@ -10,7 +10,7 @@ import pytest
 from bounded import bounded
 from small_bag import OPTICAL, Recorder, recording
 
-from localiser.storage.bags import TRANSFORMS, Messages
+from localiser.storage.bags import Messages, RosType
 from localiser.storage.bags.frames import MOST_STEPS, FrameTree
 
 MAKE = Messages()
@@ -37,7 +37,7 @@ def write(path: Path, messages: list[bytes], *, moves: bool, topic: str = "/othe
     with recording(path) as to:
         to.info()
         to.transform("base_link", "head" if moves else "optical", (0.0, 0.0, 0.7), (0.0, 0.0, 0.0, 1.0))
-        send = to.writer.add_connection(topic, TRANSFORMS, typestore=to.store)
+        send = to.writer.add_connection(topic, RosType.TRANSFORMS, typestore=to.store)
         for content in messages:
             to.writer.write(send, 0, content)
         fill(to, moves=moves)
@@ -86,7 +86,7 @@ def test_names_without_end_are_told(tmp_path: Path) -> None:
 
 def joined(tree: FrameTree, links: list[tuple[str, str]]) -> None:
     content = bombs.transforms(MAKE, links)
-    tree.add_all(MAKE.store.deserialize_cdr(content, TRANSFORMS).transforms)
+    tree.add_all(MAKE.store.deserialize_cdr(content, RosType.TRANSFORMS).transforms)
 
 
 def test_a_chain_is_no_longer_than_robots_have() -> None:

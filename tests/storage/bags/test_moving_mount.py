@@ -13,7 +13,7 @@ from small_log import CAMERA, IMAGE_TIMES, ODOMETRY, TRUTH, image
 from localiser.camera import Mount, MountSigma
 from localiser.errors import InputError
 from localiser.storage import ImageEvent, Log, open_log, write_bag, write_log
-from localiser.storage.bags.bag import IMU
+from localiser.storage.bags.records import RosType
 
 NAMES = {"mcap": "bag", "sqlite3": "bag", "ros1": "x.bag"}
 KINDS = pytest.mark.parametrize("kind", NAMES)
@@ -150,7 +150,7 @@ def test_tilt_by_an_inertial_sensor(tmp_path: Path, fused: bool) -> None:
             rate = np.radians(4.0)
             to.send(
                 "/imu",
-                IMU,
+                RosType.IMU,
                 t_ns,
                 header=to.header(t_ns, "imu"),
                 orientation={"w": 1.0} if fused else turned,
