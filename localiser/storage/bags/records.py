@@ -12,7 +12,6 @@ from bz2 import BZ2Decompressor
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from enum import StrEnum
 from struct import iter_unpack, unpack_from
 from typing import Any, BinaryIO, NamedTuple
 
@@ -23,7 +22,7 @@ SMALL_BYTES = 64 * 2**20  # what anything may unpack to, however small it is
 RECORD_BYTES = 100  # what reading a record costs, however short it is
 
 
-class RosType(StrEnum):
+class RosType:
     """Types of the messages that are read and written, as ROS 2 calls them."""
 
     IMAGE = "sensor_msgs/msg/Image"
