@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, Topics, open_with_settings, show, topics_by_role
+from localiser.commands.options import ConfigFile, Overrides, Topics, open_with_settings, show
 from localiser.errors import one_paragraph
 
 if TYPE_CHECKING:
@@ -51,9 +51,7 @@ def doctor(
     if log is not None:
         findings += examination.topics_of(log)
         try:
-            recorded, settings = open_with_settings(
-                log, config, overrides or [], topics=topics_by_role(topics), camera=camera
-            )
+            recorded, settings = open_with_settings(log, config, overrides, topics, camera)
         except InputError as error:
             findings.append(examination.Finding("replay", "missing", str(error)))
         else:

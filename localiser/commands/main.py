@@ -103,6 +103,7 @@ def config_show(config: ConfigFile = None, overrides: Overrides = None) -> None:
 
 
 _NETWORK = ("live", "live demo", "doctor", "simulate", "pose")
+_MAPS = ("map build", "map show", "map plan", "map check", "map merge", "map update")
 _GONE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("--connect", "is a setting now: --set live.connect=ENDPOINT", _NETWORK[1:]),
     ("--dds", "is a setting now: --set live.dds=DOMAIN", _NETWORK[1:]),
@@ -124,11 +125,7 @@ _GONE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("--png", "is gone: frames of a video become JPEG", ("convert",)),
     ("--seed", "is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --seed N`", ("demo",)),
     ("--speed", "is gone: `localiser demo --keep FOLDER`, then `localiser replay LOG --speed X`", ("demo",)),
-    (
-        "--force",
-        "is gone: nothing that exists is overwritten; name another file, or remove it first",
-        tuple(f"map {name}" for name in ("build", "show", "plan", "check", "merge", "update")),
-    ),
+    ("--force", "is gone: nothing that exists is overwritten; name another file, or remove it first", _MAPS),
     ("--view", "is gone: --rrd FILE, then `localiser view FILE`", ("map build",)),
     ("--log", "is --path LOG now", ("map show",)),
     ("--poses", "is gone: `localiser map show MAP --path LOG|FILE` draws a path", ("map show", "map check")),
@@ -153,9 +150,8 @@ _GONE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 
 def _check_options(arguments: list[str]) -> None:
     """Raise InputError for an option that has become a setting or is gone, with what to do instead."""
-    command = " ".join(
-        arguments[: 2 if arguments[:1] in (["camera"], ["map"]) or arguments[:2] == ["live", "demo"] else 1]
-    )
+    has_two_words = arguments[:1] in (["camera"], ["map"]) or arguments[:2] == ["live", "demo"]
+    command = " ".join(arguments[: 2 if has_two_words else 1])
     given = {argument.partition("=")[0] for argument in arguments}
     for option, instead, commands in _GONE:
         if option in given and command in commands:
@@ -177,7 +173,10 @@ def main() -> None:
     warnings.showwarning = _shown_by(warnings.showwarning)
     try:
         _check_options(arguments)
-        _run([*of_all, *arguments])
+        try:
+            app([*of_all, *arguments], prog_name="localiser")
+        finally:
+            _flush()
     except Exception as error:
         if not (isinstance(error, (LocaliserError, OSError)) or is_lack_of_memory(error)):
             raise
@@ -202,22 +201,13 @@ def _shown_by(usual: Callable[..., None]) -> Callable[..., None]:
     return show
 
 
-def _run(arguments: list[str]) -> None:
-    """Run a command; what it printed has reached its reader at the end, or raises OSError."""
-    try:
-        app(arguments, prog_name="localiser")
-    except SystemExit:
-        _flush()
-        raise
-    _flush()
-
-
 def _flush() -> None:
+    """Hand what was printed to its reader; one that has gone, such as `head`, is no error. Raises OSError."""
     try:
         sys.stdout.flush()
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again, and says so
-        if error.errno != errno.EPIPE:  # whoever read it has seen enough
+        if error.errno != errno.EPIPE:
             raise
 
 

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress, show
+from localiser.commands.options import ConfigFile, Overrides, is_quiet, open_with_settings, progress, show
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from localiser.calibration import ClockOffset, Drive, OdometryFit
     from localiser.config import Config
     from localiser.storage import Log
@@ -49,7 +47,7 @@ def fit(
     """Find the noise of a robot's odometry and its constant errors from LOGS, and say what they would change."""
     from localiser.calibration import fit_odometry
     from localiser.config import read_config
-    from localiser.storage import open_log, require_new_file, write_text
+    from localiser.storage import require_new_file, write_text
 
     if out is not None:
         require_new_file(out)
@@ -57,9 +55,7 @@ def fit(
     drives = []
     with progress("Reading", len(logs)) as advance:
         for path in logs:
-            log = open_log(path, sensor=settings.sensor)
-            own = read_config(config, overrides or [], log.settings)
-            drives.append(drive_of(log, own, map_file))
+            drives.append(drive_of(*open_with_settings(path, config, overrides), map_file))
             advance()
     found = fit_odometry([checked.drive for checked in drives], settings.motion)
     if found is None:
@@ -130,22 +126,9 @@ def to_yaml(drives: list[Checked], found: OdometryFit) -> str:
 
 
 def _show(drives: list[Checked], found: OdometryFit) -> None:
-    show(_drives(drives, found))
-    typer.echo()
-    show(_parameters(found))
-    before, after = (found.pieces.consistency(motion) for motion in (found.before, found.motion))
-    typer.echo("\nSquared error of a metre or a radian over what is expected (above 1 odometry is trusted too much):")
-    for index, name in enumerate(("distance", "turn")):
-        typer.echo(f"{name}: {before[index]:.2f} now, {after[index]:.2f} as found")
-    for checked in drives:
-        if checked.clock.disagrees():
-            text = f"{checked.drive.name}: the truth is stamped {checked.clock.text} than the wheels; this was undone."
-            typer.secho(text, fg="yellow", err=True)
-
-
-def _drives(drives: list[Checked], found: OdometryFit) -> Table:
     import numpy as np
 
+    from localiser.calibration import ALPHAS
     from localiser.evaluate import new_table
 
     columns = ("drive", "by", "metres", "turned (°)", "distance (%)", "turn (%)", "veer (°/m)")
@@ -157,18 +140,21 @@ def _drives(drives: list[Checked], found: OdometryFit) -> Table:
         pairs = zip(found.constants[index] * units, found.sigmas[index] * units, strict=True)
         cells = [f"{value:+.2f} ± {sigma:.2f}" for value, sigma in pairs]
         table.add_row(checked.drive.name, checked.by, f"{path_m:.1f}", f"{turned_deg:.0f}", *cells)
-    return table
-
-
-def _parameters(found: OdometryFit) -> Table:
-    from localiser.calibration import ALPHAS
-    from localiser.evaluate import new_table
-
+    show(table)
+    typer.echo()
     table = new_table("", "motion.", "now", "found", "1σ")
     for name, factor in zip(ALPHAS, found.factor, strict=True):
         values = (getattr(motion, name) for motion in (found.before, found.motion))
         table.add_row(name, *(f"{value:.2e}" for value in values), f"×/÷ {factor:.2f}")
-    for name in ("distance_sigma", "turn_sigma", "veer_sigma_deg_per_m"):
+    for name in _BIAS:
         values = (getattr(motion.bias, name) for motion in (found.before, found.motion))
         table.add_row(f"bias.{name}", *(f"{value:.4f}" for value in values), "")
-    return table
+    show(table)
+    before, after = (found.pieces.consistency(motion) for motion in (found.before, found.motion))
+    typer.echo("\nSquared error of a metre or a radian over what is expected (above 1 odometry is trusted too much):")
+    for index, name in enumerate(("distance", "turn")):
+        typer.echo(f"{name}: {before[index]:.2f} now, {after[index]:.2f} as found")
+    for checked in drives:
+        if checked.clock.disagrees():
+            text = f"{checked.drive.name}: the truth is stamped {checked.clock.text} than the wheels; this was undone."
+            typer.secho(text, fg="yellow", err=True)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -56,16 +56,23 @@ def is_quiet() -> bool:
     return _QUIET[0]
 
 
-def open_with_settings(log: Path, config: Path | None, settings: list[str], **how: Any) -> tuple[Log, Config]:
-    """Return a log, and the configuration in force: what the log asks for is weaker than `config` and `settings`.
+def open_with_settings(
+    log: Path,
+    config: Path | None,
+    overrides: list[str] | None,
+    topics: list[str] | None = None,
+    camera: Path | None = None,
+) -> tuple[Log, Config]:
+    """Return a log, and the configuration in force: what the log asks for is weaker than `config` and `overrides`.
 
-    how: see `storage.open_log`.
+    topics, camera: the options of ROS bags. Raises InputError.
     """
     from localiser.config import read_config
     from localiser.storage import open_log
 
-    recorded = open_log(log, sensor=read_config(config, settings).sensor, **how)
-    return recorded, read_config(config, settings, recorded.settings)
+    sensor = read_config(config, overrides or ()).sensor
+    recorded = open_log(log, sensor=sensor, topics=topics_by_role(topics), camera=camera)
+    return recorded, read_config(config, overrides or (), recorded.settings)
 
 
 def with_options(overrides: list[str] | None, **options: object) -> list[str]:

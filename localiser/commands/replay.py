@@ -18,7 +18,6 @@ from localiser.commands.options import (
     paced,
     progress,
     show,
-    topics_by_role,
     with_options,
     working,
 )
@@ -94,8 +93,7 @@ def replay(
     from localiser.replay import FolderRun, Outputs, prepare
 
     settings = with_options(overrides, seed=seed, observation__kind=observation, increments__source=odometry)
-    how: dict[str, Any] = {"topics": topics_by_role(topics), "camera": camera}
-    recorded, effective = open_with_settings(log, config, settings, **how)
+    recorded, effective = open_with_settings(log, config, settings, topics, camera)
     with working("Getting ready; the first run compiles …"):
         ready = prepare(recorded, effective, start, map_files=map_files or ())
         ready.localiser.warm_up(images=recorded.has_images)

@@ -263,9 +263,16 @@ class TrackWriter:
 
 
 def read_track(path: Path) -> Track:
-    """Return what a `trajectory.csv` says; columns of a newer version are passed over. Raises InputError."""
+    """Return what a `trajectory.csv` says; columns of a newer version are passed over.
+
+    Raises InputError, also for poses on several maps: they have no frame in common.
+    """
     table = read_table(path, COLUMNS, rows_at_least=1, more_columns=True)
     table.require_time_order(strictly=True)
+    for row, name in enumerate(maps := table.columns.get("map", [])):
+        if name != maps[0]:
+            expected = f"expected poses on one map to compare with a truth, such as {shown(maps[0])}"
+            raise table.error(row, "map", f"{expected}, found {shown(name)}")
     covs = np.empty((len(table), 3, 3))
     covs[:, _UPPER[0], _UPPER[1]] = covs[:, _UPPER[1], _UPPER[0]] = table.numbers(*_COV)
     known: dict[str, Any] = {name: table.numbers(name) for name in ("edges", "p_correct") if name in table.columns}

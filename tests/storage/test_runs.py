@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,18 @@ def test_biases_follow_as_further_columns(tmp_path: Path) -> None:
     assert header[-4:] == ["scale", "scale_sigma", "veer", "veer_sigma"]
     assert [float(cell) for cell in row[-4:]] == [0.5, 0.5, 0.25, 0.5]
     assert len(read_track(tmp_path / "trajectory.csv")) == 1
+    writer.close(True)
+
+
+def test_poses_on_several_maps_are_no_track(tmp_path: Path) -> None:
+    """Each map has a frame of its own: a pose on the wrong floor would be compared with the truth of another."""
+    writer = TrackWriter(tmp_path)
+    for t_ns, floor in enumerate(("ground", "ground", "first")):
+        writer.frame(replace(frame(located(t_ns)), map_name=floor))
+        if floor == "ground":
+            assert len(read_track(tmp_path / "trajectory.csv")) == t_ns + 1
+    with pytest.raises(InputError, match=r"csv:4: map: expected poses on one map.*'ground', found 'first'"):
+        read_track(tmp_path / "trajectory.csv")
     writer.close(True)
 
 

@@ -17,7 +17,6 @@ from localiser.commands.options import (
     is_quiet,
     open_with_settings,
     progress,
-    topics_by_role,
 )
 from localiser.errors import InputError
 
@@ -54,9 +53,7 @@ def sync(
 
     if out is not None:
         require_new(out)
-    recorded, settings = open_with_settings(
-        log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
-    )
+    recorded, settings = open_with_settings(log, config, overrides, topics, camera)
     require_odometry(recorded, "comparing the clocks")
     if not recorded.has_images:
         raise InputError("expected a log with images, found edges that were measured already", path=recorded.path)

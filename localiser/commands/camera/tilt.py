@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.convert import to_folder
-from localiser.commands.options import ConfigFile, NewLog, Overrides, is_quiet, progress, show
+from localiser.commands.options import ConfigFile, NewLog, Overrides, is_quiet, open_with_settings, progress, show
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,8 +22,7 @@ EPILOG = """Examples:
 
 `localiser camera tilt logs/corridor -o logs/levelled`"""
 
-_MOST_IMAGES = 500
-"""More of a log tell hardly more of the tilt."""
+_MOST_IMAGES = 500  # more of a log tell hardly more of the tilt
 
 
 def tilt(
@@ -36,14 +35,12 @@ def tilt(
     from dataclasses import replace
 
     from localiser.calibration import mount_of_images
-    from localiser.config import read_config
     from localiser.documents import plain_name
-    from localiser.storage import open_log, require_new
+    from localiser.storage import require_new
 
     if out is not None:
         require_new(out)
-    settings = read_config(config, overrides or [])
-    recorded = open_log(log, sensor=settings.sensor)
+    recorded, settings = open_with_settings(log, config, overrides)
     used = usable_images(recorded, _MOST_IMAGES)
     poses = recorded.odometry.sampled([image.t_ns for image in used]).poses
     with progress("Looking", len(used)) as advance:

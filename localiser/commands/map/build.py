@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.map.options import NewMap, edges_with_progress, parse_poses, summary_table, warn
-from localiser.commands.options import (
-    BagCamera,
-    ConfigFile,
-    Overrides,
-    Topics,
-    is_quiet,
-    open_with_settings,
-    show,
-    topics_by_role,
-)
+from localiser.commands.options import BagCamera, ConfigFile, Overrides, Topics, is_quiet, open_with_settings, show
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -77,10 +68,7 @@ def build(
         for name, value in {"--trajectory": trajectory, "--rrd": rrd}.items():
             if value is not None:
                 raise InputError("expected one log with this option, found several", field=name)
-    read = [
-        open_with_settings(log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera)
-        for log in logs
-    ]
+    read = [open_with_settings(log, config, overrides, topics, camera) for log in logs]
     recorded, settings = [log for log, _ in read], read[0][1]
     named = poses or default_poses(recorded)
     if poses is None and named == "slam" and not is_quiet():

@@ -8,15 +8,7 @@ from typing import Annotated
 import typer
 
 from localiser.commands.map.options import MapFile, NewMap, Within, edges_with_progress, parse_poses
-from localiser.commands.options import (
-    BagCamera,
-    ConfigFile,
-    Overrides,
-    Topics,
-    is_quiet,
-    open_with_settings,
-    topics_by_role,
-)
+from localiser.commands.options import BagCamera, ConfigFile, Overrides, Topics, is_quiet, open_with_settings
 
 
 def update(
@@ -38,9 +30,7 @@ def update(
 
     require_new_file(out)
     old = read_map(map_file)
-    recorded, settings = open_with_settings(
-        log, config, [*(overrides or [])], topics=topics_by_role(topics), camera=camera
-    )
+    recorded, settings = open_with_settings(log, config, overrides, topics, camera)
     track, source = parse_poses(poses)
     built = build_map(recorded, track, settings, edges_of=lambda log: edges_with_progress(log, settings), source=source)
     changed = update_map(old, built, recorded.camera, settings.mapping.tracks.found, within)
