@@ -18,7 +18,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from localiser.errors import InputError
-from localiser.live.transport import Reply, Service, Take, Topic, dds_type
+from localiser.live.transport import Reply, Service, Take, Topic, checked_name, dds_type
 from localiser.storage.bags import typestore
 
 if TYPE_CHECKING:
@@ -60,15 +60,7 @@ def dds() -> Any:
 
 def dds_name(topic: Topic) -> str:
     """Return the name of a topic as ROS 2 has it in DDS. Raises InputError."""
-    return f"rt/{checked_name(topic.name, 'live.topics')}"
-
-
-def checked_name(given: str, field: str) -> str:
-    """Return the name of a topic or service without its first slash. Raises InputError."""
-    name = given.strip("/")
-    if not name or not all(part.replace("_", "a").isalnum() and part.isascii() for part in name.split("/")):
-        raise InputError(f"expected the name of a topic, found {given!r}", field=field)
-    return name
+    return f"rt/{checked_name(topic.name)}"
 
 
 def ros_type(name: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from localiser import view
 from localiser.camera import Camera, Mount
-from localiser.config import Config, LiveParameters
+from localiser.config import Config
 from localiser.documents import nearest, read_text
 from localiser.errors import InputError
 from localiser.filter import Start
@@ -26,7 +26,7 @@ from localiser.live.outputs import JsonLines, Outputs, Published, Publisher, Rec
 from localiser.live.run import LiveRun
 from localiser.live.state import Checkpoints, Resumed
 from localiser.live.tracker import Tracker
-from localiser.live.transport import Reply, Take, Transport, network_of, open_transport, prefix_of
+from localiser.live.transport import Reply, Transport, network_of, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
 from localiser.ros import SERVICES, Frames, Output, outputs_named, topic_in
@@ -68,8 +68,9 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
     resumed = state_to_resume(options, landmark_map, say)
     given = read_camera(options.camera) if options.camera else None
     check_settings(options.config, given, images=True)
-    live = options.config.live
-    topics, outputs = _names(live)
+    live, prefix = options.config.live, prefix_of(options.config.live)
+    topics, outputs = input_topics(live.topics, prefix), outputs_named(live.publish, prefix)
+    check_outputs(topics, outputs)
     viewers: list[view.LiveView] = []
 
     def tell(text: str, level: str) -> None:
@@ -81,13 +82,15 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         localiser = Localiser(landmark_map, camera, options.config)
         localiser.measure(np.zeros((camera.height, camera.width), dtype=np.uint8))  # makes the tables of its lens
         if options.view != "none":
-            viewers.append(_viewer(options.view, camera, landmark_map, say))
+            viewers.append(view.LiveView(options.view, view.Context("live", camera, landmark_map)))
+            if address := viewers[-1].address:
+                say(f"Watch at {address}" if options.view == "web" else f"Watch with `rerun {address}`", "INFO")
         return localiser
 
     with ExitStack() as stack:
         inbox = Inbox()
         monitor = Monitor(tell, lambda roles: advice(options, topics, roles, joined=transport.is_joined()))
-        recording = start_recording(options, lambda why: tell(why, "WARNING"))
+        recording = start_recording(options, landmark_map, topics, outputs, lambda why: tell(why, "WARNING"))
         if recording is not None:
             stack.callback(recording.close)
         transport = stack.enter_context(closing(open_transport(live)))
@@ -98,23 +101,19 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
             stack.callback(lines.close)
             publish.append(lambda published: lines.put(published.line()))
         stack.callback(lambda: close_all(viewers, complete=True))
-        say("getting ready; the first run compiles its loops, which takes up to a minute", "INFO")
-        warm_up(landmark_map, options.config)
-        say("ready; waiting for the robot", "INFO")
+        warm_up(landmark_map, options.config, say)
         finder = CameraFinder(given, topics["image"], topics["camera_info"], moving_kept=_MOVING_KEPT)
         clocks = Clocks(simulated=SimulatedTime() if live.use_sim_time else None)
-        frames = Frames(live.map_frame, live.odom_frame)
-        tolerance_ns, record = round(live.transform_tolerance_s * 1e9), None if recording is None else recording.send
-        publisher = Publisher(transport, outputs, frames, tolerance_ns, record)
+        frames, tolerance_ns = Frames(live.map_frame, live.odom_frame), round(live.transform_tolerance_s * 1e9)
+        publisher = Publisher(transport, outputs, frames, tolerance_ns, recording.send if recording else None)
         told = Outputs(monitor, publisher, recording, publish, viewers)
         failed = partial(monitor.warn, "no checkpoint")
-        checkpoints = None if options.checkpoint is None else Checkpoints(options.checkpoint, failed)
+        checkpoints = Checkpoints(options.checkpoint, failed) if options.checkpoint else None
         tracker = Tracker(finder, localiser_of, landmark_map, clocks, told, options.start, resumed, checkpoints)
-        serve(transport, inbox, prefix_of(live), live.services)
-        not_heard = {"image": options.image is not None, "clock": not live.use_sim_time}
-        for role, topic in topics.items():
-            if not not_heard.get(role):
-                transport.subscribe(topic_for(role, topic), into(inbox, role, topic))
+        serve(transport, inbox, prefix, live.services)
+        unheard = {"image": options.image is not None, "clock": not live.use_sim_time}
+        for role, topic in ((role, topic) for role, topic in topics.items() if not unheard.get(role)):
+            transport.subscribe(topic_for(role, topic), partial(take_in, inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
         yield LiveRun(inbox, tracker, clocks, told, options.map_files[0].parent, live.map_frame)
@@ -169,49 +168,36 @@ def state_to_resume(options: LiveOptions, landmark_map: LandmarkMap, say: Callab
     return None
 
 
-def _viewer(kind: str, camera: Camera, landmark_map: LandmarkMap, say: Callable[[str, str], None]) -> view.LiveView:
-    """Return a viewer, and say where to watch."""
-    viewer = view.LiveView(kind, view.Context("live", camera, landmark_map))
-    if viewer.address:
-        say(f"Watch at {viewer.address}" if kind == "web" else f"Watch with `rerun {viewer.address}`", "INFO")
-    return viewer
+def take_in(inbox: Inbox, role: str, topic: str, content: bytes, source: bytes) -> None:
+    """Put a message on a topic into the inbox."""
+    inbox.put(Arrival(role, topic, content, source=source))
 
 
-def _names(live: LiveParameters) -> tuple[dict[str, str], dict[str, Output]]:
-    """Return the topics that come in, by role, and what goes out, by kind. Raises InputError where two are the same."""
-    prefix = prefix_of(live)
-    topics, outputs = input_topics(live.topics, prefix), outputs_named(live.publish, prefix)
-    check_outputs(topics, outputs)
-    return topics, outputs
+def start_recording(
+    options: LiveOptions,
+    landmark_map: LandmarkMap,
+    topics: Mapping[str, str],
+    outputs: Mapping[str, Output],
+    failed: Callable[[str], None],
+) -> Recording | None:
+    """Return the recording that was asked for, with what a replay needs: settings, map, camera file.
 
-
-def into(inbox: Inbox, role: str, topic: str) -> Take:
-    """Return what puts messages on a topic into the inbox."""
-    return lambda content, source: inbox.put(Arrival(role, topic, content, source=source))
-
-
-def start_recording(options: LiveOptions, failed: Callable[[str], None]) -> Recording | None:
-    """Return the recording that was asked for, with what a replay needs: settings, map, camera file."""
+    topics, outputs: what comes in, by role, and what goes out, by kind. failed: is told why it ended.
+    """
     if options.record is None:
         return None
-    topics, outputs = _names(options.config.live)
     latched = {output.topic for output in outputs.values() if output.latched}
     recording = Recording(options.record, failed, latched | {topics["transforms"], LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC})
     texts = {
         LOG_TOPIC: live_label_text(options.record.stem, _changed_settings(options.config), topics),
-        MAP_TOPIC: _maps_text(options.map_files),
+        # Several maps are written out: they need not all be in one file.
+        MAP_TOPIC: map_text(landmark_map) if len(landmark_map.maps) > 1 else read_text(options.map_files[0]),
     }
     if options.camera is not None:
         texts[CAMERA_TOPIC] = read_text(options.camera)
     for topic, text in texts.items():
         recording.tell(topic, text)
     return recording
-
-
-def _maps_text(files: Sequence[Path]) -> str:
-    """Return the text of a map's file, or that of all maps written out where it is not all in one file."""
-    maps = read_maps(files)
-    return map_text(maps) if len(maps.maps) > 1 else read_text(files[0])
 
 
 def _changed_settings(config: Config) -> dict[str, Any]:
@@ -235,8 +221,9 @@ def open_camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
     return source
 
 
-def warm_up(landmark_map: LandmarkMap, config: Config) -> None:
+def warm_up(landmark_map: LandmarkMap, config: Config, say: Callable[[str, str], None]) -> None:
     """Take a localiser of its own through images of stripes: libraries are loaded, loops compiled, before any waits."""
+    say("getting ready; the first run compiles its loops, which takes up to a minute", "INFO")
     stripes = np.where(np.arange(_CAMERA.width) // 40 % 2, 200, 50).astype(np.uint8)
     file = encode_image(np.tile(stripes, (_CAMERA.height, 1)), ".jpg", JPEG_QUALITY)
     localiser = Localiser(landmark_map, _CAMERA, config)
@@ -245,3 +232,4 @@ def warm_up(landmark_map: LandmarkMap, config: Config) -> None:
     for number, t_ns in enumerate((1, 100_000_000, 200_000_000)):
         localiser.odometry(t_ns, [0.0, -0.1 * number, 0.0])
         localiser.image(t_ns, file, by_wheels=number < 2)
+    say("ready; waiting for the robot", "INFO")

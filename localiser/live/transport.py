@@ -119,6 +119,14 @@ def _domain(live: LiveParameters) -> int:
     return int(text)
 
 
+def checked_name(given: str, field: str = "live.topics") -> str:
+    """Return the name of a topic or service without its first slash. Raises InputError unless ROS 2 takes it."""
+    name = given.strip("/")
+    if not name or not all(part.replace("_", "a").isalnum() and part.isascii() for part in name.split("/")):
+        raise InputError(f"expected the name of a topic, found {given!r}", field=field)
+    return name
+
+
 def dds_type(msgtype: str) -> str:
     """Return the name of a type of messages or services in DDS, and in keys of zenoh: `nav_msgs::msg::dds_::Path_`."""
     package, kind, name = msgtype.split("/")

@@ -25,7 +25,7 @@ from typing import Any
 
 from localiser.documents import require_regular, text_of
 from localiser.errors import InputError
-from localiser.live.transport import ENDPOINT, Reply, Service, Take, Topic, dds_type
+from localiser.live.transport import ENDPOINT, Reply, Service, Take, Topic, checked_name, dds_type
 from localiser.storage.bags import typestore
 
 AGAIN_S = 0.3
@@ -175,7 +175,7 @@ class RmwNames:
 
     def service_key(self, service: Service) -> str:
         """Return the key under which requests come."""
-        stem = f"{self.domain}/{service.name.strip('/')}/{dds_type(service.srvtype)}"
+        stem = f"{self.domain}/{checked_name(service.name, 'live.services')}/{dds_type(service.srvtype)}"
         return f"{stem}/{service.type_hash if self.hashes else NO_HASH}"
 
     def node_token(self, zid: str) -> str:
@@ -202,7 +202,7 @@ class RmwNames:
         return f"/{key}", None
 
     def _stem(self, topic: Topic) -> str:
-        return f"{self.domain}/{topic.name.strip('/')}/{dds_type(topic.msgtype)}"
+        return f"{self.domain}/{checked_name(topic.name)}/{dds_type(topic.msgtype)}"
 
     def _node(self, zid: str, number: int, kind: str) -> str:
         return f"@ros2_lv/{self.domain}/{zid}/0/{number}/{kind}/%/{mangled(self.namespace)}/{self.node}"
@@ -265,7 +265,7 @@ class ZenohTransport:
 
     def subscribe(self, topic: Topic, take: Take) -> None:
         """See `Transport`."""
-        pattern = _checked(topic, self._names.pattern(topic))
+        pattern = self._names.pattern(topic)
         number = next(self._numbers)
 
         def handle(sample: Any) -> None:
@@ -345,8 +345,7 @@ class ZenohTransport:
     def _publisher(self, topic: Topic) -> _Publisher:
         with self._lock:
             if topic.name not in self._publishers:
-                key = _checked(topic, self._names.key(topic))
-                publisher = self._publishers[topic.name] = _Publisher(topic, key)
+                publisher = self._publishers[topic.name] = _Publisher(topic, self._names.key(topic))
                 number = next(self._numbers)
 
                 def declare(session: Any) -> None:
@@ -374,9 +373,18 @@ class _Publisher:
 
     def declare(self, session: Any, token: str) -> None:
         """Begin to exist; what was latched before goes out now. token: by which others know it."""
+        import zenoh
+        from zenoh import ext
+
         with self._lock:
             self._gid = gid_of(token)
-            self._declared = _declared(session, self._topic, self._key)
+            options: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP, "express": True}
+            if self._topic.latched:
+                missed = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S)
+                options |= {"cache": ext.CacheConfig(self._topic.depth), "sample_miss_detection": missed}
+                self._declared = ext.declare_advanced_publisher(session, self._key, publisher_detection=True, **options)
+            else:
+                self._declared = session.declare_publisher(self._key, **options)
             kept, self._kept = self._kept, None
         if kept is not None:
             self.put(kept)
@@ -397,23 +405,6 @@ class _Publisher:
         return self._declared is not None and bool(self._declared.matching_status.matching)
 
 
-def _declared(session: Any, topic: Topic, key: str) -> Any:
-    import zenoh
-    from zenoh import ext
-
-    options: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP, "express": True}
-    if not topic.latched:
-        return session.declare_publisher(key, **options)
-    return ext.declare_advanced_publisher(
-        session,
-        key,
-        cache=ext.CacheConfig(topic.depth),
-        sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S),
-        publisher_detection=True,
-        **options,
-    )
-
-
 def _zid(session: Any) -> str:
     return str(session.info.zid())
 
@@ -424,16 +415,3 @@ def _source_of(sample: Any) -> bytes:
         return parts_of(b"" if sample.attachment is None else sample.attachment.to_bytes())[2]
     except ValueError:
         return b""
-
-
-def _checked(topic: Topic, key: str) -> str:
-    """Return a key. Raises InputError when the topic's name makes none."""
-    import zenoh
-
-    try:
-        zenoh.KeyExpr(text_of(key))
-    except zenoh.ZError:
-        raise InputError(f"expected the name of a topic, found {topic.name!r}", field="live.topics") from None
-    if any(mark in topic.name for mark in "*$?#") or not topic.name.strip("/"):
-        raise InputError(f"expected the name of a topic, found {topic.name!r}", field="live.topics")
-    return key

@@ -25,6 +25,7 @@ from localiser.live.run import LiveRun
 from localiser.live.state import Resumed
 from localiser.live.tracker import Tracker
 from localiser.localiser import Localiser
+from localiser.ros import outputs_named
 from localiser.storage import ImageEvent, open_log, read_maps, read_track
 from localiser.storage.bags import ODOM, CameraFinder, Messages
 
@@ -84,14 +85,14 @@ class Feed:
             return Localiser(landmark_map, camera, self.config)
 
         options = LiveOptions(self.map_files, self.config, record=self.record)
-        self.recording = start_recording(options, self.said.append)
+        landmark_map = read_maps(self.map_files)
+        self.recording = start_recording(options, landmark_map, TOPICS, outputs_named(), self.said.append)
         clocks = Clocks(machine_ns=lambda: self.now_ns)
         monitor = Monitor(lambda text, level: self.said.append(text))
         outputs = Outputs(
             monitor, Publisher(KeepingTransport(), {}), recording=self.recording, publish=[self.published.append]
         )
         finder = CameraFinder(None, TOPICS["image"], moving_kept=2000)
-        landmark_map = read_maps(self.map_files)
         self.tracker = Tracker(finder, localiser_of, landmark_map, clocks, outputs, self.start, self.resumed)
         self.run = LiveRun(Inbox(), self.tracker, clocks, outputs, CORRIDOR)
 
