@@ -8,7 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, Queue
@@ -150,7 +150,8 @@ class Publisher:
         """Publish what was located in an image. facts: more for the diagnostics. stamp_ns, frame: of the image."""
         if self._outgoing is None:
             return
-        self._outgoing.camera_frame(frame)
+        if frame:
+            self._outgoing.frames = replace(self._outgoing.frames, camera=frame)
         self._send(self._outgoing.image(found, stamp_ns, self._is_wanted, facts))
         if self._newest_ns > self._followed_ns:  # the first image, or the first that is trusted again
             self._follow()
@@ -178,7 +179,7 @@ class Publisher:
 
     def _name_odometry(self) -> None:
         if self._outgoing is not None and not self.frames.odom and self._odometry_frame:
-            self._outgoing.odometry_frame(self._odometry_frame)
+            self._outgoing.frames = replace(self._outgoing.frames, odom=self._odometry_frame)
 
     def _is_wanted(self, kind: str) -> bool:
         return (self.record is not None and kind in RECORDED) or self.transport.is_heard(self._topics[kind])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.filter import LEAST_SURE, SURE, Image, Located, LocatedFrame
+from localiser.filter import LEAST_SURE, SURE, Located, LocatedFrame
 from localiser.geometry import Array, wrap_angle
 from localiser.image_files import decode
 from localiser.landmarks import LandmarkMap, landmark_ends, predicted_lines
@@ -27,12 +27,6 @@ JPEG_QUALITY = 80
 _SHIFT = 4  # bits after the point in the pixels that OpenCV draws to
 _MARKER = "visualization_msgs/msg/Marker"
 _POST_M, _SIGHT_M = 0.03, 0.01
-
-
-def landmark_markers(make: Messages, ends: Array, stamp_ns: int, frame: str) -> Any:
-    """Return one marker: every landmark as an upright line between its ends (L, 2, 3) in the map."""
-    lines = _lines(make, stamp_ns, frame, "landmarks", ends, VISIBLE, _POST_M)
-    return make.make(RosType.MARKERS, markers=[lines])
 
 
 def match_markers(make: Messages, found: LocatedFrame, ends: Array, camera: Camera, stamp_ns: int, frame: str) -> Any:
@@ -69,13 +63,17 @@ def _lines(make: Messages, stamp_ns: int, frame: str, name: str, ends: Array, co
 def annotated(
     make: Messages, frame: LocatedFrame, ends: Array, camera: Camera, stamp_ns: int, camera_frame: str = OPTICAL
 ) -> Any | None:
-    """Return the image with expected landmarks, matched and unmatched edges; None where there is no image.
+    """Return the image with expected landmarks, matched and unmatched edges; None where none can be decoded.
 
     ends: (L, 2, 3) of the landmarks in the map. camera_frame: the name of the camera's frame.
     """
-    pixels = None if frame.image is None else _colour(frame.image)
-    if pixels is None:
+    image = frame.image
+    if isinstance(image, bytes):
+        image = decode(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
         return None
+    grey = image.ndim == 2
+    pixels = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if grey else image.copy(), dtype=np.uint8)
     pose = frame.located.estimate.pose_as_seen
     _, expected = predicted_lines(camera, pose, ends, frame.matches.visible)
     edges, matched = frame.located.edges, frame.matches.landmark >= 0
@@ -84,14 +82,6 @@ def annotated(
     _draw(pixels, edges.ends_px[known & ~matched], UNMATCHED, 2)
     _draw(pixels, edges.ends_px[known & matched], MATCHED, 2)
     return make.compressed(stamp_ns, encode_image(pixels, ".jpg", JPEG_QUALITY), camera_frame)
-
-
-def _colour(image: Image) -> NDArray[np.uint8] | None:
-    """Return a copy (H, W, 3) to draw on, None where the file cannot be decoded."""
-    if isinstance(image, bytes):
-        decoded = decode(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        return None if decoded is None else np.asarray(decoded, dtype=np.uint8)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy(), dtype=np.uint8)
 
 
 def _draw(pixels: NDArray[np.uint8], lines: Array, colour: Colour, width: int) -> None:
@@ -249,8 +239,8 @@ class Outgoing:
         if "landmarks" not in self.kinds:
             return []
         here = self.landmark_map.is_on(self._map_name, self._ends[:, 0, [0, 2]])
-        markers = landmark_markers(self._make, self._ends[here], stamp_ns, self.map_frame)
-        return [self._message("landmarks", stamp_ns, markers)]
+        lines = _lines(self._make, stamp_ns, self.map_frame, "landmarks", self._ends[here], VISIBLE, _POST_M)
+        return [self._message("landmarks", stamp_ns, self._make.make(RosType.MARKERS, markers=[lines]))]
 
     def image(
         self,
@@ -300,15 +290,6 @@ class Outgoing:
         """Begin anew: what was located before says nothing any more."""
         self._located, self._path = None, DrivenPath()
 
-    def odometry_frame(self, name: str) -> None:
-        """Take the name of the odometry's frame, as its messages have it."""
-        self.frames = replace(self.frames, odom=name)
-
-    def camera_frame(self, name: str) -> None:
-        """Take the name of the camera's frame, as its images have it; nothing where they do not name it."""
-        if name:
-            self.frames = replace(self.frames, camera=name)
-
     def _message(self, kind: str, stamp_ns: int, message: Any) -> Message:
         return Message(kind, stamp_ns, self._make.encode(message))
 
@@ -317,8 +298,11 @@ class Outgoing:
         return self._make.pose_in_map(stamp_ns, pose, frame.pose_cov, self.map_frame)
 
     def _particles(self, located: Located, stamp_ns: int) -> Any:
-        """Return a geometry_msgs/PoseArray of at most MOST_PARTICLES, each as likely as its weight."""
-        poses = spread_out(located)
+        """Return a geometry_msgs/PoseArray of at most MOST_PARTICLES, chosen evenly by their cumulated weights."""
+        cloud, count = located.particles, min(len(located.particles), MOST_PARTICLES)
+        cumulated = np.cumsum(cloud.weight)
+        at = (np.arange(count) + 0.5) / max(count, 1) * cumulated[-1:]
+        poses = cloud.poses[np.minimum(np.searchsorted(cumulated, at), len(cloud) - 1)]
         here = self._make.poses(poses[self.landmark_map.is_on(self._map_name, poses)])
         return self._make.make(RosType.POSES, header=header(stamp_ns, self.map_frame), poses=here)
 
@@ -340,14 +324,3 @@ def places_of(frame: LocatedFrame, landmark_map: LandmarkMap) -> list[dict[str, 
             pose = dict(zip(("x", "z", "heading"), (mean - landmark_map.origin(name)).tolist(), strict=True))
             found.append({"map": name, **pose, "probability": round(float(weight) * known, 4)})
     return found
-
-
-def spread_out(located: Located) -> Array:
-    """Return poses (N, 3) of at most MOST_PARTICLES particles, chosen evenly by their cumulated weights."""
-    cloud = located.particles
-    count = min(len(cloud), MOST_PARTICLES)
-    if not count:
-        return np.zeros((0, 3))
-    cumulated = np.cumsum(cloud.weight)
-    at = (np.arange(count) + 0.5) / count * cumulated[-1]
-    return np.asarray(cloud.poses[np.minimum(np.searchsorted(cumulated, at), len(cloud) - 1)])
