@@ -24,8 +24,7 @@ from localiser.live.inbox import JPEG_QUALITY, Arrival, CameraSource, Inbox, che
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import JsonLines, Outputs, Published, Publisher, Recording
 from localiser.live.run import LiveRun
-from localiser.live.state import Checkpoints, Resumed
-from localiser.live.tracker import Tracker
+from localiser.live.tracker import Checkpoints, Resumed, Tracker
 from localiser.live.transport import Reply, Transport, network_of, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all

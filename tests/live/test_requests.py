@@ -17,8 +17,8 @@ from localiser.errors import InputError
 from localiser.live.inbox import Arrival, Inbox
 from localiser.live.outputs import Publisher
 from localiser.live.prepare import LiveOptions, open_run, serve, state_to_resume
-from localiser.live.state import Checkpoints
 from localiser.live.timeline import Timeline
+from localiser.live.tracker import Checkpoints
 from localiser.localiser import Localiser as RobotLocaliser
 from localiser.ros import (
     MAP_INVALID,

@@ -15,8 +15,8 @@ from localiser.config import read_config
 from localiser.filter import mcl
 from localiser.geometry import between, compose
 from localiser.live.inbox import Arrival
-from localiser.live.state import Checkpoints, Resumed
 from localiser.live.timeline import Timeline
+from localiser.live.tracker import Checkpoints, Resumed
 from localiser.localiser import Localiser as RobotLocaliser
 from localiser.storage import open_log, read_track
 

@@ -22,8 +22,7 @@ from localiser.live.monitor import Monitor
 from localiser.live.outputs import Outputs, Published, Publisher
 from localiser.live.prepare import start_recording
 from localiser.live.run import LiveRun
-from localiser.live.state import Resumed
-from localiser.live.tracker import Tracker
+from localiser.live.tracker import Resumed, Tracker
 from localiser.localiser import Localiser
 from localiser.ros import outputs_named
 from localiser.storage import ImageEvent, open_log, read_maps, read_track
