@@ -311,22 +311,20 @@ class Localiser:
             camera=self._camera and replace(self._camera, name=""),
         ) | {f"own {part}": _name_of(own) for part, own in self._own.items() if own is not None}
 
-    def save(self, shift_ns: int = 0, notes: Mapping[str, str] | None = None) -> bytes:
+    def save(self, shift_ns: int = 0) -> bytes:
         """Return the state and the generator, to go on with later. shift_ns: what is added to all times.
-
-        notes: kept with it for whoever goes on; see `storage.checkpoint_of`.
 
         Images and their timings are not part of it: of those that wait for the wheels the edges are. Neither is what an
         observation, a motion model or a detector of one's own keeps in itself.
         """
-        state, identity = self.state, self.identity
+        state = self.state
         moved = replace(
             state,
             at_ns=state.at_ns if state.at_ns == _AT_NEXT else state.at_ns + shift_ns,
             odometry=deque(replace(pose, t_ns=pose.t_ns + shift_ns) for pose in state.odometry),
             waiting=deque(replace(sighting, t_ns=sighting.t_ns + shift_ns) for sighting in state.waiting),
         )
-        return checkpoint_bytes(moved, self.rng, identity, notes)
+        return checkpoint_bytes(moved, self.rng, self.identity)
 
     def restore(self, content: bytes, path: Path | str = "state") -> None:
         """Go on from what `save` returned. path: what errors name.

@@ -63,7 +63,4 @@ def evaluate(
 def _names(runs: list[Path]) -> list[str]:
     """Return short names of the runs, whole paths where short ones would be the same."""
     short = ["/".join(run.parts[-2:]) for run in runs]
-    if len(set(short)) == len(runs):
-        return short
-    whole = [str(run) for run in runs]
-    return [name if name not in whole[:place] else f"{name} again" for place, name in enumerate(whole)]
+    return short if len(set(short)) == len(runs) else [str(run) for run in runs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import time
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -40,12 +42,6 @@ live_app = typer.Typer(
 STATUS_EVERY_S = 0.25
 
 
-GivenStart = Annotated[
-    str | None,
-    typer.Option(
-        metavar="x,z,heading_deg", help="Where the robot is now, to 0.1 m and 3°; by default it is looked for."
-    ),
-]
 Record = Annotated[
     Path | None,
     typer.Option(
@@ -85,7 +81,12 @@ def live(
         str | None,
         typer.Option(metavar="SOURCE", help="A camera's number, a video file or a stream's address, read by OpenCV."),
     ] = None,
-    start: GivenStart = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="x,z,heading_deg", help="Where the robot is now, to 0.1 m and 3°; by default it is looked for."
+        ),
+    ] = None,
     record: Record = None,
     json: Json = False,
     view: LiveView = "none",
@@ -142,8 +143,6 @@ def demo(
     overrides: Overrides = None,
 ) -> None:
     """Show the live mode with no robot: a stand-in sends a log over zenoh or DDS, as if it were driving now."""
-    from tempfile import TemporaryDirectory
-
     from localiser.commands.demo import LOG, example_folder
     from localiser.commands.simulate import driven as driven_log
     from localiser.config import read_config
@@ -158,7 +157,9 @@ def demo(
     settings = read_config(None, overrides or [], driven.settings)
     reached = [f"live.dds={settings.live.dds}", f"live.interface={settings.live.interface}"]
     if settings.live.dds < 0:
-        endpoint = _free_endpoint()
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
         reached = [f"live.listen={endpoint}"]
         settings = read_config(None, [*(overrides or []), f"live.connect={endpoint}"], driven.settings)
     with TemporaryDirectory() as folder:
@@ -203,14 +204,6 @@ def _stand_in(log: Path, reached: list[str]) -> Iterator[None]:
     finally:
         robot.terminate()
         robot.wait()
-
-
-def _free_endpoint() -> str:
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def _run(options: LiveOptions) -> None:

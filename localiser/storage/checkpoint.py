@@ -28,18 +28,17 @@ from localiser.geometry import Increment
 from localiser.observation import NearLandmarks, Visibility
 from localiser.particles import Particles
 
-FORMAT = "localiser-checkpoint/3"
+FORMAT = "localiser-checkpoint/4"
 _SHOWN = 80  # characters of a setting in an error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """Where a run goes on from. identity: what the state belongs to. notes: of whoever saved it; nothing is checked."""
+    """Where a run goes on from. identity: what the state belongs to."""
 
     state: FilterState
     rng: np.random.Generator
     identity: Mapping[str, str]
-    notes: Mapping[str, str]
 
 
 class _File(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
@@ -47,7 +46,6 @@ class _File(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
 
     form: str
     identity: dict[str, str]
-    notes: dict[str, str]
     rng: str
     state: msgspec.Raw
 
@@ -68,12 +66,10 @@ def _flat(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, str]]
             yield f"{prefix}{name}", str(value)
 
 
-def checkpoint_bytes(
-    state: FilterState, rng: np.random.Generator, identity: Mapping[str, str], notes: Mapping[str, str] | None = None
-) -> bytes:
-    """Return the content of a checkpoint. identity: what the state belongs to, see `identity_of`. notes: see there."""
+def checkpoint_bytes(state: FilterState, rng: np.random.Generator, identity: Mapping[str, str]) -> bytes:
+    """Return the content of a checkpoint. identity: what the state belongs to, see `identity_of`."""
     random = json.dumps(rng.bit_generator.state)  # its integers have more than 64 bits
-    body = encode((form_of(FilterState), identity, notes or {}, random, state))
+    body = encode((form_of(FilterState), identity, random, state))
     return f"{FORMAT}\n{sha256(body).hexdigest()}\n".encode() + body
 
 
@@ -99,7 +95,7 @@ def checkpoint_of(content: bytes, path: Path, identity: Mapping[str, str] | None
         rng.bit_generator.state = json.loads(file.rng)
         state = decode(FilterState, file.state)
         require_sound(state)
-        return Checkpoint(state, rng, file.identity, file.notes)
+        return Checkpoint(state, rng, file.identity)
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         problem = f"expected a checkpoint that this version of the program made; {error}"
         raise InputError(problem, path=path) from None

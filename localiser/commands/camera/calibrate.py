@@ -26,9 +26,6 @@ EPILOG = """Examples:
 
 _WELL_REACHED = 0.7
 _DPI = 600
-
-
-BoardName = Literal["charuco", "chessboard"]
 LensName = Literal["plumb_bob", "rational_polynomial", "equidistant", "none"]
 
 
@@ -40,7 +37,7 @@ def calibrate(
         ),
     ] = None,
     *,
-    board: Annotated[BoardName, typer.Option(help="What is on the board.")],
+    board: Annotated[Literal["charuco", "chessboard"], typer.Option(help="What is on the board.")],
     squares: Annotated[
         str,
         typer.Option(
@@ -67,9 +64,16 @@ def calibrate(
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="New camera file.")] = None,
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
+    from localiser.calibration import Board
     from localiser.storage import require_new_file
 
-    wanted = _board(board, squares, square_m, marker_m, dictionary, legacy)
+    try:
+        columns, rows = (int(part) for part in squares.lower().split("x"))
+    except ValueError:
+        problem = f"expected columns x rows of squares, such as 8x6, found {squares!r}"
+        raise InputError(problem, field="--squares") from None
+    marker = 0.75 * square_m if marker_m is None else marker_m
+    wanted = Board(board, columns, rows, square_m, marker, dictionary, legacy)
     if draw_board is not None:
         write_board(wanted, draw_board)
         width, height = wanted.picture_size_m()
@@ -90,20 +94,6 @@ def calibrate(
         typer.echo(f"Written to {out}")
         if found.floor is None:
             typer.echo("It has no mount yet: use --floor, or add tilt_deg, height_m, … by hand.", err=True)
-
-
-def _board(
-    kind: BoardName, squares: str, square_m: float, marker_m: float | None, dictionary: str, legacy: bool
-) -> Board:
-    from localiser.calibration import Board
-
-    try:
-        columns, rows = (int(part) for part in squares.lower().split("x"))
-    except ValueError:
-        problem = f"expected columns x rows of squares, such as 8x6, found {squares!r}"
-        raise InputError(problem, field="--squares") from None
-    marker = 0.75 * square_m if marker_m is None else marker_m
-    return Board(kind, columns, rows, square_m, marker, dictionary, legacy)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -97,6 +97,7 @@ def merge(
     Of one map alone, the landmarks that `map check` lists as there twice become one.
     """
     from localiser.commands.map.plan import map_or_plan
+    from localiser.mapping import common_landmarks, fuse_maps, merge_duplicates
     from localiser.storage import read_map, require_new_file, write_map
 
     require_new_file(out)
@@ -104,33 +105,21 @@ def merge(
     if second is None:
         if find_frame:
             raise InputError("expected two maps, found one", field="--align")
-        whole, told = _merge_own(one)
+        whole, gone = merge_duplicates(one)
+        pairs = "; ".join(f"{other} is part of {kept}" for kept, other in gone)
+        text = f"{len(gone)} were there twice" + (f": {pairs}" if gone else "")
     else:
-        whole, told = _merge_both(one, read_map(second), within, find_frame=find_frame)
+        other = read_map(second)
+        if find_frame:
+            other = best_fit(one, other, within).moved(other)
+        common = common_landmarks(one, other, within)
+        if not (both := len(common)):
+            raise InputError(
+                f"expected landmarks of one map within {within:g} m of the other's, found none: "
+                "are they in one frame? `localiser map align` finds out"
+            )
+        whole = fuse_maps(one, other, common)
+        text = f"{both} of both maps, {len(one) - both} of the first alone, {len(other) - both} of the second alone"
     write_map(whole, out)
     if not is_quiet():
-        typer.echo(f"{len(whole)} landmarks in {out}: {told}")
-
-
-def _merge_own(one: LandmarkMap) -> tuple[LandmarkMap, str]:
-    from localiser.mapping import merge_duplicates
-
-    whole, gone = merge_duplicates(one)
-    pairs = "; ".join(f"{other} is part of {kept}" for kept, other in gone)
-    return whole, f"{len(gone)} were there twice" + (f": {pairs}" if gone else "")
-
-
-def _merge_both(one: LandmarkMap, other: LandmarkMap, within_m: float, *, find_frame: bool) -> tuple[LandmarkMap, str]:
-    from localiser.mapping import common_landmarks, fuse_maps
-
-    if find_frame:
-        other = best_fit(one, other, within_m).moved(other)
-    pairs = common_landmarks(one, other, within_m)
-    both = len(pairs)
-    if not both:
-        raise InputError(
-            f"expected landmarks of one map within {within_m:g} m of the other's, found none: "
-            "are they in one frame? `localiser map align` finds out"
-        )
-    told = f"{both} of both maps, {len(one) - both} of the first alone, {len(other) - both} of the second alone"
-    return fuse_maps(one, other, pairs), told
+        typer.echo(f"{len(whole)} landmarks in {out}: {text}")
