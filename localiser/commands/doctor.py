@@ -58,7 +58,7 @@ def doctor(
             findings += examination.log_checks(recorded, settings)
     live = settings.live
     if live.connect or live.listen or live.zenoh_config or live.dds >= 0:
-        heard = examination.listened(live, seconds)
+        heard = examination.listen_to_robot(live, seconds)
         findings += [*examination.topic_checks(heard), *examination.clock_checks(heard)]
         known, problem = examination.camera_of(heard, known)
         if known is None:

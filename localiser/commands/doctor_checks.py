@@ -37,7 +37,7 @@ MOST_KEPT = 400
 MOST_IMAGES, MOST_PAIRS = 60, 30  # of a log, whose edges are found
 CLOCK_S = 0.2
 GAP_S, GAP_INTERVALS = 1.0, 5.0  # what is longer than both is a gap, in seconds and in usual intervals
-_STAMPED = (RosType.IMAGE, RosType.COMPRESSED, RosType.ODOMETRY)  # of which rates, gaps and clocks are told
+_STAMPED = (RosType.IMAGE, RosType.COMPRESSED, RosType.ODOMETRY)  # whose rates, gaps and clocks are shown
 _SOURCE = Path("image")
 
 
@@ -82,7 +82,7 @@ class Heard:
                 yield arrival, message_of(arrival)
 
 
-def listened(live: LiveParameters, seconds: float) -> Heard:
+def listen_to_robot(live: LiveParameters, seconds: float) -> Heard:
     """Return what was heard on a robot's network in some time, also what is kept for latecomers. Raises InputError."""
     heard, lock = Heard(input_topics(live.topics, prefix_of(live)), seconds), Lock()
     roles = {topic: role for role, topic in heard.topics.items()}
@@ -231,7 +231,7 @@ def _images(heard: Heard, camera: Camera) -> list[tuple[int, Image]]:
 def topics_of(path: Path) -> Iterator[Finding]:
     """Yield the topics of a bag with their rates, gaps and clocks; nothing for another log. Raises InputError.
 
-    Clocks and gaps are told of the messages that a log is made of.
+    Clocks and gaps are those of the messages that a log is made of.
     """
     if not BagReader().recognises(path):
         return
@@ -299,7 +299,7 @@ def log_checks(log: Log, config: Config) -> Iterator[Finding]:
         images = log.images
         yield from edge_checks(times, lambda k: images[k].load(), log.odometry, log.camera, config)
     lacks: tuple[tuple[str, object, State, str], ...] = (
-        ("truth", log.groundtruth, "optional", "errors cannot be told; a topic of a bag or a file of a folder has it"),
+        ("truth", log.groundtruth, "optional", "errors are not known; a topic of a bag or a file of a folder has it"),
         ("start", log.start, "optional", "it is looked for on the whole map; --start x,z,heading_deg states it"),
         ("map", log.landmark_map, "missing", f"`localiser map build {log.path} -o map.yaml` makes one; replay takes it "
          "by --map map.yaml"),

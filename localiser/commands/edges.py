@@ -76,7 +76,7 @@ def edges(
 
     settings = read_config(config, with_options(overrides, edges__detector=detector))
     taken_by, taken = _inputs(images, camera)
-    taken[0].load()  # a wrong camera is told before a folder is made
+    taken[0].load()  # a wrong camera is an error before a folder is made
     folder = _new_folder(out)
     write_camera(taken_by, folder / "camera.yaml")
     write_text(folder / "config.yaml", to_yaml(in_force(settings)))

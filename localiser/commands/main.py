@@ -163,7 +163,7 @@ _OF_ALL = ("--debug", "--quiet", "-q")
 
 
 def main() -> None:
-    """Run the command line; errors that the user can mend are told in one paragraph, without a traceback."""
+    """Run the command line; errors that the user can correct are printed as one paragraph, without a traceback."""
     of_all = [argument for argument in sys.argv[1:] if argument in _OF_ALL]
     arguments = [argument for argument in sys.argv[1:] if argument not in _OF_ALL]
     for stream in (sys.stdout, sys.stderr):

@@ -44,12 +44,12 @@ class RobotClock:
 
     @property
     def newest_ns(self) -> int:
-        """The latest time of any message that told of the clock, 0 before the first."""
+        """The latest time of any message that shows the clock, 0 before the first."""
         return self._newest_ns
 
     @property
     def is_known(self) -> bool:
-        """Whether any message has told of the clock."""
+        """Whether any message has come that shows the clock."""
         return self._at_ns is not None
 
     def possible_time(self, stamp_ns: int, at_ns: int) -> int | None:

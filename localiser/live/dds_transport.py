@@ -261,7 +261,7 @@ class DdsTransport:
         self._report = report
 
     def _tell(self, problem: str) -> None:
-        self._report(problem)  # to whom it is told may still change
+        self._report(problem)  # who takes reports may still change
 
     def subscribe(self, topic: Topic, take: Take) -> None:
         """See `Transport`."""

@@ -105,7 +105,7 @@ class Inbox:
 
 
 def type_of(role: str, topic: str) -> str:
-    """Return the type of the messages on a topic; compressed images are told by its name, as ROS has it."""
+    """Return the type of the messages on a topic; compressed images are known by its name, as ROS has it."""
     if role == "image":
         return RosType.COMPRESSED if topic.rsplit("/", 1)[-1].startswith("compressed") else RosType.IMAGE
     return _ROLES[role][1]

@@ -204,10 +204,10 @@ _Row = tuple[str, str, int, bytes]
 
 
 class Recording:
-    """A bag of what came in and what was decided; written in the order in which it is told."""
+    """A bag of what came in and what was decided; written in the order of the calls."""
 
     def __init__(self, path: Path, failed: Callable[[str], None], latched: Collection[str] = ()) -> None:
-        """Make the bag. failed: is told, in another thread, why the recording ended. latched: see `BagRecorder`.
+        """Make the bag. latched: see `BagRecorder`. failed: takes the reason why the recording ended, in a thread.
 
         Raises InputError, OutputError.
         """

@@ -105,17 +105,17 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         clocks = Clocks(simulated=SimulatedTime() if live.use_sim_time else None)
         frames, tolerance_ns = Frames(live.map_frame, live.odom_frame), round(live.transform_tolerance_s * 1e9)
         publisher = Publisher(transport, outputs, frames, tolerance_ns, recording.send if recording else None)
-        told = Outputs(monitor, publisher, recording, publish, viewers)
+        targets = Outputs(monitor, publisher, recording, publish, viewers)
         failed = partial(monitor.warn, "no checkpoint")
         checkpoints = Checkpoints(options.checkpoint, failed) if options.checkpoint else None
-        tracker = Tracker(finder, localiser_of, landmark_map, clocks, told, options.start, resumed, checkpoints)
+        tracker = Tracker(finder, localiser_of, landmark_map, clocks, targets, options.start, resumed, checkpoints)
         serve(transport, inbox, prefix, live.services)
         unheard = {"image": options.image is not None, "clock": not live.use_sim_time}
         for role, topic in ((role, topic) for role, topic in topics.items() if not unheard.get(role)):
             transport.subscribe(topic_for(role, topic), partial(take_in, inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
-        yield LiveRun(inbox, tracker, clocks, told, options.map_files[0].parent, live.map_frame)
+        yield LiveRun(inbox, tracker, clocks, targets, options.map_files[0].parent, live.map_frame)
 
 
 def advice(options: LiveOptions, topics: Mapping[str, str], roles: list[str], *, joined: bool) -> str:
@@ -181,7 +181,7 @@ def start_recording(
 ) -> Recording | None:
     """Return the recording that was asked for, with what a replay needs: settings, map, camera file.
 
-    topics, outputs: what comes in, by role, and what goes out, by kind. failed: is told why it ended.
+    topics, outputs: what comes in, by role, and what goes out, by kind. failed: is called with the reason why it ended.
     """
     if options.record is None:
         return None

@@ -48,7 +48,7 @@ def is_driven(sooner: Odometry, later: Odometry) -> bool:
 
 @dataclass(slots=True, eq=False)
 class Timeline:
-    """What has arrived and is not settled. decided: is told of every image, and of every pose that is not used.
+    """What has arrived and is not settled. decided: is called for every image, and for every pose that is not used.
 
     is_ready: whether all else than odometry is there that an image needs, its mount.
 
@@ -151,7 +151,7 @@ class Timeline:
         self.decided(odometry_decision(number, t_ns, why))
 
     def _wheels_tell(self, t_ns: int) -> bool:
-        """Whether the wheels told the whole way since the last image, if that was not long ago."""
+        """Whether the wheels reported the whole way since the last image, if that was not long ago."""
         if t_ns > self.newest_ns:
             return False
         if t_ns - self.weighed_ns > 2 * PATIENCE_NS:

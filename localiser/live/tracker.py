@@ -42,7 +42,7 @@ MAX_BYTES = 2**30  # a state of ten million particles with five constant errors
 
 @dataclass(slots=True, eq=False)
 class Checkpoints:
-    """Saves the state of a run, on a thread, because disks take their time. failed: is told when that did not work."""
+    """Saves the state of a run, on a thread, because disks take their time. failed: takes what went wrong."""
 
     path: Path
     failed: Callable[[str], None]

@@ -336,7 +336,7 @@ class ZenohTransport:
         return self._link.is_joined()
 
     def report_to(self, report: Callable[[str], None]) -> None:
-        """See `Transport`. Nothing is told here: zenoh has no quality of service that could differ."""
+        """See `Transport`. Nothing is reported here: zenoh has no quality of service that could differ."""
 
     def close(self) -> None:
         """See `Transport`."""

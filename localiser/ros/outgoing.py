@@ -92,7 +92,7 @@ def _draw(pixels: NDArray[np.uint8], lines: Array, colour: Colour, width: int) -
 
 
 MOST_PARTICLES = 300
-LEAST_PLACE = 0.02  # weight from which on a place is told
+LEAST_PLACE = 0.02  # weight from which on a place is reported
 MOST_POSES = 1000  # of the path
 STEP_M, STEP_RAD = 0.1, np.deg2rad(10.0)
 """How far a robot moves or turns between two poses of the path."""

@@ -94,10 +94,10 @@ def read_image(path: Path, size: tuple[int, int]) -> Image:
 
 
 def warn_turned(degrees: int, path: Path) -> None:
-    """Tell of pictures that ask to be turned when they are shown: they are taken as they are stored."""
+    """Warn of pictures that ask to be turned when they are shown: they are used as they are stored."""
     if degrees:
-        told = f"it says that it is to be shown turned by {degrees}°, and is taken as it is stored;"
-        warn(f"{told} the camera file must be of that, with its roll", path=path)
+        problem = f"asks to be shown turned by {degrees}°, but is used as it is stored"
+        warn(f"{problem}; the camera file must fit the stored image, with its roll", path=path)
 
 
 def decoded(data: bytes, size: tuple[int, int], *, path: Path, field: str | None = None) -> Image:

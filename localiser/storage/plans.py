@@ -63,8 +63,8 @@ def read_plan(path: Path) -> FloorPlan:
     occupied, free = classify(picture := _load_picture(image), file)
     unknown = np.count_nonzero(picture.mean(axis=2) == (255 - UNKNOWN_GREY if file.negate else UNKNOWN_GREY))
     if file.mode == "trinary" and unknown and file.free_thresh > (255 - UNKNOWN_GREY) / 255:
-        told = f"{unknown} pixels of grey {UNKNOWN_GREY} are unknown, as map_saver writes them"
-        warn(f"{told}, though free_thresh says that they are free", path=path)
+        taken = f"{unknown} pixels of grey {UNKNOWN_GREY} are unknown, as map_saver writes them"
+        warn(f"{taken}, though free_thresh says that they are free", path=path)
     # Row 0 of the picture is the farthest along y.
     return FloorPlan(occupied[::-1], free[::-1], file.resolution, np.array(file.origin))
 

@@ -48,8 +48,8 @@ def read_poses(path: Path) -> Trajectory:
 
     CSV `t_ns,x,z,heading` in our frame; CSV `t,x,y,yaw` or `t_ns,x,y,yaw` in the ROS frame; TUM; EuRoC. Times are
     seconds, or whole nanoseconds from 10¹² on. Of poses with the same time the first is kept; poses that are nan or
-    empty are left out, up to a tenth; both are told, and so are poses in a camera's axes, which are turned. Raises
-    InputError.
+    empty are left out, up to a tenth; a warning says so, and also where poses are in a camera's axes and are turned.
+    Raises InputError.
     """
     lines = [line.strip() for line in read_text(path, MAX_TABLE_BYTES).splitlines() if line.strip()]
     row = next((line for line in lines if not line.startswith("#")), "")
@@ -71,7 +71,7 @@ def read_poses(path: Path) -> Trajectory:
 
 
 def _trajectory(table: Table, poses: Array, time: str) -> Trajectory:
-    """Return the poses (R, 3) of rows, without what is lost and what comes twice; both are counted and told."""
+    """Return the poses (R, 3) of rows, without lost and repeated ones, of which a warning tells."""
     table.require_time_order(time, strictly=False)
     known, count = np.isfinite(poses).all(axis=1), len(table)
     if (lost := count - int(known.sum())) > _MOST_LOST * count:
@@ -83,8 +83,8 @@ def _trajectory(table: Table, poses: Array, time: str) -> Trajectory:
         warn(f"left out {lost} of {count} poses that are empty, null or nan", path=table.path)
     if again.any():
         row = int(rows[again][0])
-        told = f"left out {again.sum()} of {count} poses of a time that was there already, such as"
-        warn(f"{told} {table.written(row, time)}", path=table.path, line=table.lines[row])
+        repeated = f"left out {again.sum()} of {count} poses of a time that was there already, such as"
+        warn(f"{repeated} {table.written(row, time)}", path=table.path, line=table.lines[row])
     return Trajectory(table.integers(time)[rows][~again], poses[rows][~again])
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from localiser.documents import nearest, open_regular, parse, read_text, require_regular
 from localiser.errors import InputError, LocaliserError
-from localiser.storage.bags.database import BESIDE, MAGIC, Database, beside, restored
+from localiser.storage.bags.database import BESIDE, MAGIC, Database, beside, restored_copy
 from localiser.storage.bags.frames import stamp_of
 from localiser.storage.bags.messages import typestore
 from localiser.storage.bags.records import (
@@ -137,7 +137,7 @@ class Bag:
             file = self._closing.enter_context(open_regular(path, "bag"))
             reader: Records | Database
             if file.read(len(MAGIC)) == MAGIC:
-                reader = Database(self._closing.enter_context(restored(path)), allowance)
+                reader = Database(self._closing.enter_context(restored_copy(path)), allowance)
                 self._closing.callback(reader.close)
             else:
                 file.seek(0)
@@ -185,7 +185,7 @@ def _files_of(path: Path) -> tuple[list[Path], str]:
         require_regular(path, "bag")
         return [path], ""
     if not (path / METADATA_FILE).exists():
-        return numbered(path), ""
+        return files_by_number(path), ""
     metadata = parse(read_text(path / METADATA_FILE, MAX_METADATA_BYTES), str(path / METADATA_FILE))
     key = ("rosbag2_bagfile_information", "relative_file_paths")
     found = metadata.value.get(key[0]) if isinstance(metadata.value, dict) else None
@@ -212,7 +212,7 @@ def _files_of(path: Path) -> tuple[list[Path], str]:
     return files, mode
 
 
-def numbered(path: Path) -> list[Path]:
+def files_by_number(path: Path) -> list[Path]:
     """Return the files of a folder that by their names are one bag, which its recorder did not come to describe."""
     found = [(int(match[1]), file) for file in path.iterdir() if (match := _NUMBERED.fullmatch(file.name))]
     return [file for _, file in sorted(found)]

@@ -69,7 +69,7 @@ class Database:
     def topics(self) -> Counter[tuple[str, str]]:
         """Return names and types of the topics with their numbers of messages. Raises ValueError."""
         found = Counter({channel[:2]: 0 for channel in self._channels.values()})
-        with suppress(BrokenOffError):  # is told where the messages are read
+        with suppress(BrokenOffError):  # is reported where the messages are read
             for (number,) in self._rows("SELECT topic_id FROM messages ORDER BY rowid"):
                 self.allowance.spend(RECORD_BYTES)
                 found.update([self._channels[number][:2]] if number in self._channels else [])
@@ -111,7 +111,7 @@ class Database:
 
 
 @contextmanager
-def restored(path: Path) -> Iterator[Path]:
+def restored_copy(path: Path) -> Iterator[Path]:
     """Yield the path of a database with all that was committed and nothing half written.
 
     That is `path` itself, or a copy in a private folder which is removed in the end, if there is a journal or a log of

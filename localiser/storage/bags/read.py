@@ -34,13 +34,13 @@ from localiser.storage.bags.bag import (
     Topic,
     choice_text,
     choose,
-    numbered,
+    files_by_number,
     speaks_of_depth,
 )
 from localiser.storage.bags.camera_finder import CameraFinder
 from localiser.storage.bags.frames import LostPoseError, floor_pose, plain_frame, stamp_of
 from localiser.storage.bags.messages import image_file, shows_light
-from localiser.storage.bags.write import FORMAT, Decisions, Label, document_of, labelled, with_sigma
+from localiser.storage.bags.write import FORMAT, Decisions, Label, document_of, with_label, with_sigma
 from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file
 from localiser.storage.images import ImageEvent, check_size, check_whole, image_event
@@ -58,7 +58,9 @@ class BagReader:
 
     def recognises(self, path: Path) -> bool:
         """Whether `path` is a bag's file, or the folder of a ROS 2 bag, also of one whose recorder was killed."""
-        return path.suffix in SUFFIXES or (path.is_dir() and bool((path / METADATA_FILE).exists() or numbered(path)))
+        return path.suffix in SUFFIXES or (
+            path.is_dir() and bool((path / METADATA_FILE).exists() or files_by_number(path))
+        )
 
     def read(self, path: Path, options: ReadOptions) -> Log:
         """Return the log; the bag is read once from end to end. Raises InputError."""
@@ -141,17 +143,17 @@ class _Poses:
         rows = np.array(self.rows)
         known = np.isfinite(rows[:, 1:]).all(axis=1)
         if lost := int((~known).sum()):
-            told = f"{lost} of {len(rows)} poses of {self.topic} that are null or nan"
+            what = f"{lost} of {len(rows)} poses of {self.topic} that are null or nan"
             if lost > MOST_LOST * len(rows):
-                raise InputError(f"expected at most a tenth of the poses to be null or nan, found {told}", path=path)
-            warn(f"left out {told}", path=path)
+                raise InputError(f"expected at most a tenth of the poses to be null or nan, found {what}", path=path)
+            warn(f"left out {what}", path=path)
         times = np.array([row[0] for row in self.rows], dtype=np.int64)[known]
         order = _first_of_each(times, path, self.topic)
         return Trajectory(times[order], rows[known][order, 1:])
 
 
 def _first_of_each(times: NDArray[np.int64], path: Path, topic: str) -> NDArray[np.int64]:
-    """Return the order of times; of those that are the same the first is kept, which is told.
+    """Return the order of times; of those that are the same the first is kept, with a warning.
 
     Raises InputError where headers have no stamps.
     """
@@ -161,8 +163,8 @@ def _first_of_each(times: NDArray[np.int64], path: Path, topic: str) -> NDArray[
     order = np.argsort(times, kind="stable")
     again = np.diff(times[order], prepend=-1) == 0
     if again.any():
-        told = f"{again.sum()} of {len(times)} messages of {topic} with a stamp that was there already"
-        warn(f"left out {told}, such as {times[order][again][0] / 1e9:.9f} s", path=path)
+        what = f"{again.sum()} of {len(times)} messages of {topic} with a stamp that was there already"
+        warn(f"left out {what}, such as {times[order][again][0] / 1e9:.9f} s", path=path)
     return np.asarray(order[~again])
 
 
@@ -260,7 +262,7 @@ def _log(content: _Content, topic: Topic, given: Camera | None) -> Log:
         mounts = _made(content, lambda: content.finder.mounts([place.stamp_ns for place in places]))
         mounts = with_sigma(mounts, label)
     camera = given or content.finder.camera or _made(content, content.finder.made)
-    camera = camera if given else labelled(camera, label)
+    camera = camera if given else with_label(camera, label)
     first_ns = min(int(odometry.t_ns[0]), places[0].stamp_ns)
     starts = decisions.starts or [start_from_file(label.start, first_ns) if label.start else None]
     size = (camera.width, camera.height)

@@ -151,7 +151,7 @@ class Records:
             for number, channel in self._channels.items():
                 found[channel[:2]] += self._counts[number]
         else:
-            with suppress(BrokenOffError):  # is told where the messages are read
+            with suppress(BrokenOffError):  # is reported where the messages are read
                 for message in self.messages():
                     found[message.channel[:2]] += 1
         return found
@@ -208,7 +208,7 @@ class Records:
 
     def _name(self, number: int, channel: Channel) -> None:
         if self._channels.setdefault(number, channel) != channel:
-            raise ValueError("two topics share a number, so that their messages cannot be told apart")
+            raise ValueError("two topics share a number, so that their messages cannot be distinguished")
         check_topics(len(self._channels))
 
 
@@ -334,7 +334,7 @@ def _text(content: memoryview, at: int) -> tuple[str, int]:
 
 
 def records_of(file: BinaryIO, allowance: Allowance) -> Records:
-    """Return the records of an open file of one of the two kinds, told by how it begins. Raises ValueError."""
+    """Return the records of an open file of one of the two kinds, by how it begins. Raises ValueError."""
     head = file.read(16)
     for kind in (Mcap, Ros1):
         if head.startswith(kind.magic):

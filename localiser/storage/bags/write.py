@@ -218,7 +218,7 @@ def with_sigma(mounts: Sequence[Mount | None], label: Label) -> Sequence[Mount |
     return [mount and replace(mount, sigma=replace(mount.sigma or MountSigma(), **sigmas)) for mount in mounts]
 
 
-def labelled(camera: Camera, label: Label) -> Camera:
+def with_label(camera: Camera, label: Label) -> Camera:
     """Return the camera with what no message of ROS says of it: its name, and how its shutter rolls."""
     shutter = shutter_of(label.rolling_shutter, camera.height, Document(None, {})) or camera.shutter
     return replace(camera, name=camera.name or label.camera_name, shutter=shutter)
@@ -244,7 +244,7 @@ _MOST = 10**8  # messages of a topic; larger numbers could be chosen to fall int
 def image_decision(number: int, t_ns: int, unused: str = "", *, by_wheels: bool = True) -> str:
     """Return that an image was weighed, or why not. t_ns: its time, by which people find it.
 
-    by_wheels: whether the wheels told how the robot came there, or its edges had to, because the wheels were silent.
+    by_wheels: whether the wheels said how the robot came there, or its edges had to, because the wheels were silent.
     """
     data: dict[str, Any] = {"image": number, "t_ns": t_ns, "used": not unused}
     data |= {"why": unused} if unused else {}
