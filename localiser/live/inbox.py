@@ -197,8 +197,8 @@ class CameraSource:
         self._address, self._take = address, take
         self._is_file = Path(address).is_file()
         self._stop = Event()
-        self._opened = self._open()
-        if self._opened is None:
+        self._capture = self._open()
+        if self._capture is None:
             raise InputError("expected a camera that can be opened", path=address, field="--image")
         self._thread = Thread(target=self._read, name="camera", daemon=True)
 
@@ -215,7 +215,7 @@ class CameraSource:
     def _read(self) -> None:
         begin_ns = time.time_ns()
         while not self._stop.is_set():
-            capture, is_packed = self._opened or (None, False)
+            capture, is_packed = self._capture or (None, False)
             image = None if capture is None else capture.read()[1]
             if capture is not None and image is not None and image.dtype == np.uint8:
                 t_ns = time.time_ns()
@@ -228,7 +228,7 @@ class CameraSource:
             else:
                 self._stop.wait(_RETRY_S)
                 with suppress(InputError):  # another stream than at the begin, which is not read
-                    self._opened = self._open()
+                    self._capture = self._open()
 
     def _open(self) -> tuple[Any, bool] | None:
         """Return the open camera, and whether its frames come as files; or None. Raises InputError."""

@@ -96,7 +96,7 @@ def read_image(path: Path, size: tuple[int, int]) -> Image:
 def warn_turned(degrees: int, path: Path) -> None:
     """Warn of pictures that ask to be turned when they are shown: they are used as they are stored."""
     if degrees:
-        problem = f"asks to be shown turned by {degrees}°, but is used as it is stored"
+        problem = f"asks to be shown turned by {degrees}°, and is taken as it is stored"
         warn(f"{problem}; the camera file must fit the stored image, with its roll", path=path)
 
 

@@ -323,17 +323,17 @@ class Site(LandmarkMap):
             edge = float(high[0] + origins[k, 0])
         of = np.repeat(np.arange(len(maps)), [len(one) for one in maps])
 
-        def joined(column: str) -> Array:
+        def of_all(column: str) -> Array:
             return np.concatenate([getattr(one, column) for one in maps])
 
         return cls(
             name=name or " + ".join(one.name for one in maps),
             ids=tuple(f"{one.name}/{landmark}" for one in maps for landmark in one.ids),
-            points=joined("points") + origins[of],
-            cov=joined("cov"),
-            bottom_m=joined("bottom_m"),
-            top_m=joined("top_m"),
-            polarity=joined("polarity").astype(np.int8),
+            points=of_all("points") + origins[of],
+            cov=of_all("cov"),
+            bottom_m=of_all("bottom_m"),
+            top_m=of_all("top_m"),
+            polarity=of_all("polarity").astype(np.int8),
             source=tuple(source for one in maps for source in one.source),
             extra=tuple(one for each in maps for one in (each.extra or ({},) * len(each))),
             laid=tuple(maps),

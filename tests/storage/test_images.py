@@ -43,7 +43,7 @@ def test_orientation_tag_does_not_turn_the_image(tmp_path: Path) -> None:
     # An EXIF block that says "turn by 90 degrees": the camera's calibration is of the image as it was taken.
     exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
     data = JPEG[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + JPEG[2:]
-    with pytest.warns(InputWarning, match="shown turned by 90°, and is taken as it is stored"):
+    with pytest.warns(InputWarning, match="asks to be shown turned by 90°, and is taken as it is stored"):
         turned = read_image(save(tmp_path, data), SIZE)
     np.testing.assert_array_equal(turned, read_image(save(tmp_path, JPEG, "b"), SIZE))
     assert check_head(tmp_path / "image.jpg", SIZE) == 90

@@ -79,7 +79,7 @@ class Bag:
         self._files, self._mode = _files_of(path)
         sizes = {(found.st_dev, found.st_ino): found.st_size for found in map(Path.stat, self._on_disk())}
         self._size = sum(sizes.values())
-        self._opened: tuple[int, Records | Database] | None = None
+        self._reader: tuple[int, Records | Database] | None = None
         self._closing = ExitStack()
         try:
             with bag_errors(path):
@@ -131,7 +131,7 @@ class Bag:
 
     def _open(self, number: int, allowance: Allowance) -> Records | Database:
         """Return the reader of one of the files; the one before is closed."""
-        if self._opened is None or self._opened[0] != number:
+        if self._reader is None or self._reader[0] != number:
             self._closing.close()
             path = self._files[number] if self._mode != "file" else self._unpacked(self._files[number], allowance)
             file = self._closing.enter_context(open_regular(path, "bag"))
@@ -142,9 +142,9 @@ class Bag:
             else:
                 file.seek(0)
                 reader = records_of(file, allowance)
-            self._opened = number, reader
-        self._opened[1].allowance = allowance
-        return self._opened[1]
+            self._reader = number, reader
+        self._reader[1].allowance = allowance
+        return self._reader[1]
 
     def _unpacked(self, path: Path, allowance: Allowance) -> Path:
         """Return a copy of a file that is compressed as a whole, which lasts until the file is closed."""
