@@ -41,14 +41,16 @@ def landmarks(ends: Array, colour: palette.Colour, width: float) -> rr.LineStrip
     return rr.LineStrips3D(ends.astype(np.float32), colors=colour, radii=rr.Radius.ui_points(width / 2))
 
 
-def coarse(points: Array, colour: palette.Colour) -> rr.Points3D:
+def coarse(points: Array) -> rr.Points3D:
     """Return landmarks (L, 2) as at most `MOST_POINTS` points on the floor: one for each square that has any."""
     square_m, squares = 1.0, points[:0]
     while not len(squares) or len(squares) > MOST_POINTS:
         squares = np.unique(np.floor(points / square_m), axis=0)
         square_m *= 2.0
     middles = (squares + 0.5) * (square_m / 2.0)
-    return rr.Points3D(at_height(middles, 0.0).astype(np.float32), colors=colour, radii=rr.Radius.ui_points(1.2))
+    return rr.Points3D(
+        at_height(middles, 0.0).astype(np.float32), colors=palette.UNSEEN, radii=rr.Radius.ui_points(1.2)
+    )
 
 
 def sights(camera: Camera, pose: Array, points: Array) -> rr.LineStrips3D:

@@ -1,4 +1,4 @@
-"""Record a run, or how a map came about, to a Rerun file; a file that cannot be written is an error.
+"""Record a run to a Rerun file; a file that cannot be written is an error.
 
 Rerun's own writer of files prints an error when the disk is full, drops the rest, and then waits for ever when the file
 is to be ended. So it writes into a pipe, and a thread of our own writes the file.
@@ -8,23 +8,13 @@ from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from localiser.camera import Camera
 from localiser.documents import output_errors, write_all
-from localiser.edges import Edges
-from localiser.filter import Image, LocatedFrame
-from localiser.geometry import Array, Trajectory
-from localiser.landmarks import LandmarkMap
-from localiser.view import paths
+from localiser.filter import LocatedFrame
 from localiser.view.paths import Context
 
 if TYPE_CHECKING:
@@ -114,58 +104,3 @@ class RecordingFile:
                 except OSError as error:
                     self._failure = error
         os.close(self._source)
-
-
-# -- how a map came about ---------------------------------------------------------------------------------------------
-
-LANDMARKS, SIGMA = "plots/landmarks", "plots/sigma"
-_TITLES = {LANDMARKS: "Landmarks", SIGMA: "Their 1σ, cm", paths.COUNTS: "Edges"}
-_MARGIN_M = 1.5  # around the path: walls stand beside it
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Growing:
-    """One image and what is known after it.
-
-    pose: (3,) of the robot. is_landmark: (E,) whether each edge is of a landmark. points, cov: (L, 2), (L, 2, 2) of the
-    landmarks. shown: (M,) those that this image shows.
-    """
-
-    t_ns: int
-    pose: Array
-    image: Image | None
-    edges: Edges
-    is_landmark: NDArray[np.bool_]
-    points: Array
-    cov: Array
-    shown: NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Finished:
-    """The map in the end, and the robot's path; before: the same with no loop closed, where loops were looked for."""
-
-    landmark_map: LandmarkMap
-    path: Trajectory
-    before: Trajectory | None
-    text: str
-
-
-def record_map(
-    path: Path, name: str, camera: Camera, frames: Iterable[Growing], finished: Finished, *, images: bool
-) -> None:
-    """Write how a map came about to a new `.rrd` file. images: whether frames have any. Raises OutputError."""
-    from localiser.view.layout import blueprint
-    from localiser.view.recorder import MapRecorder, new_stream
-
-    nothing = LandmarkMap.from_points(np.zeros((0, 2)))
-    context = Context(name, camera, nothing, finished.path, images, application="localiser map build")
-    stream = new_stream(context)
-    file = RecordingFile(path, stream, blueprint(context, _TITLES, margin_m=_MARGIN_M))
-    try:
-        recorder = MapRecorder(stream, context)
-        for frame in frames:
-            recorder.frame(frame)
-        recorder.finish(finished)
-    finally:
-        file.end()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,18 +20,16 @@ STAGES_SHOWN_MS = (0.0, 120.0)
 """The first image fills tables for the whole run; on a scale that holds it too, all others would lie on the floor."""
 
 
-def blueprint(context: Context, titles: Mapping[str, str] | None = None, *, margin_m: float = 0.0) -> rrb.Blueprint:
-    """Return the layout: the world large on the left, the image and some charts beside it, more and text in tabs.
-
-    titles: of the plots by their paths; by default those of a run. margin_m: to show around map and truth.
-    """
-    plots = _plots(titles or _titles(context))
+def blueprint(context: Context) -> rrb.Blueprint:
+    """Return the layout: the world large on the left, the image and some charts beside it, more and text in tabs."""
+    plots = _plots(context)
     first = rrb.Vertical(*plots[:SHOWN_FIRST], name="Charts")
-    more = [rrb.Vertical(*plots[SHOWN_FIRST:], name="More charts")] if len(plots) > SHOWN_FIRST else []
-    charts = rrb.Tabs(first, *more, _text(), active_tab=0)
+    columns = rrb.TextLogColumns(timeline_columns=[paths.FRAME], text_log_columns=["LogLevel", "Body"])
+    text = rrb.TextLogView(origin=paths.TEXT, name="Messages", columns=columns)
+    charts = rrb.Tabs(first, rrb.Vertical(*plots[SHOWN_FIRST:], name="More charts"), text, active_tab=0)
     beside = rrb.Vertical(_image(context), charts, row_shares=[6, 11]) if context.images else charts
     return rrb.Blueprint(
-        rrb.Horizontal(_world(context, margin_m), beside, column_shares=[3, 2]),
+        rrb.Horizontal(_world(context), beside, column_shares=[3, 2]),
         rrb.TimePanel(state="collapsed", timeline=paths.FRAME),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -40,8 +37,8 @@ def blueprint(context: Context, titles: Mapping[str, str] | None = None, *, marg
     )
 
 
-def _world(context: Context, margin_m: float) -> rrb.Spatial3DView:
-    target, position = _eye(context, margin_m)
+def _world(context: Context) -> rrb.Spatial3DView:
+    target, position = _eye(context)
     span: dict[str, Any] = {"start": rrb.TimeRangeBoundary.infinite(), "end": rrb.TimeRangeBoundary.cursor_relative()}
     so_far = rrb.VisibleTimeRanges([rrb.VisibleTimeRange(line, **span) for line in (paths.FRAME, paths.TIME)])
     return rrb.Spatial3DView(
@@ -55,12 +52,12 @@ def _world(context: Context, margin_m: float) -> rrb.Spatial3DView:
     )
 
 
-def _eye(context: Context, margin_m: float) -> tuple[Array, Array]:
+def _eye(context: Context) -> tuple[Array, Array]:
     """Return target and position (3,) of an eye that has map and truth in sight, map -z up on the screen."""
     points = context.landmark_map.points
     if context.truth is not None:
         points = np.concatenate([points, context.truth.poses[:, :2]])
-    low, high = points.min(axis=0) - margin_m, points.max(axis=0) + margin_m
+    low, high = points.min(axis=0), points.max(axis=0)
     width, depth = np.maximum(high - low, 2.0)
     # Rerun's field of view is 55°, the panel about square: the near edge of the floor just fits, across and along.
     distance = max(width / 1.1, 0.85 * depth) + depth / 4
@@ -74,14 +71,9 @@ def _image(context: Context) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin=paths.CAMERA, name="Image", background=BACKGROUND, visual_bounds=bounds)
 
 
-def _text() -> rrb.TextLogView:
-    columns = rrb.TextLogColumns(timeline_columns=[paths.FRAME], text_log_columns=["LogLevel", "Body"])
-    return rrb.TextLogView(origin=paths.TEXT, name="Messages", columns=columns)
-
-
-def _titles(context: Context) -> dict[str, str]:
+def _plots(context: Context) -> list[rrb.TimeSeriesView]:
     what = "error and 3σ" if context.truth is not None else "3σ"
-    return {
+    titles = {
         paths.ERROR: f"Position {what}, m",
         paths.P_CORRECT: "Probability of being right",
         paths.COUNTS: "Edges",
@@ -89,9 +81,6 @@ def _titles(context: Context) -> dict[str, str]:
         paths.ESS: "Effective sample size",
         paths.STAGES: "Time, ms",
     }
-
-
-def _plots(titles: Mapping[str, str]) -> list[rrb.TimeSeriesView]:
     axes = {
         paths.P_CORRECT: rrb.ScalarAxis(range=(-0.05, 1.05)),  # else a fall by a millionth fills the plot
         paths.STAGES: rrb.ScalarAxis(range=STAGES_SHOWN_MS),

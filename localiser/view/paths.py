@@ -13,7 +13,6 @@ TIME = "time"
 
 WORLD = "world"
 LANDMARKS = f"{WORLD}/map/unseen"
-FAR = f"{WORLD}/map/far"
 VISIBLE = f"{WORLD}/map/visible"
 MATCHED = f"{WORLD}/map/matched"
 SIGHTS = f"{WORLD}/sights"
@@ -51,7 +50,7 @@ class Context:
     """What does not change while a run is shown.
 
     name: of the log. truth: path of the robot in the map, where known. images: False leaves the image out of the
-    layout, for logs that have none. application: which recordings share a layout in the viewer.
+    layout, for logs that have none.
     """
 
     name: str
@@ -59,7 +58,6 @@ class Context:
     landmark_map: LandmarkMap
     truth: Trajectory | None = None
     images: bool = True
-    application: str = "localiser"
 
     @property
     def of_first_map(self) -> Context:

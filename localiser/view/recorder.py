@@ -1,4 +1,4 @@
-"""Log frames of a run, or of a map that grows, to a Rerun stream. Its maker decides where the stream goes."""
+"""Log frames of a run to a Rerun stream. Its maker decides where the stream goes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ import rerun as rr
 from localiser import geometry
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, predicted_lines
+from localiser.landmarks import predicted_lines
 from localiser.particles import only
 from localiser.view import draw, palette, paths
-from localiser.view.file import LANDMARKS, SIGMA, Finished, Growing
 from localiser.view.paths import Context
 
 CHUNK_BYTES = 1 << 20
@@ -34,7 +33,7 @@ def new_stream(context: Context) -> rr.RecordingStream:
     size, not by time; the default of five ticks a second also makes small chunks.
     """
     batches = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1), flush_num_bytes=CHUNK_BYTES)
-    stream = rr.RecordingStream(context.application, send_properties=False, batcher_config=batches)
+    stream = rr.RecordingStream("localiser", send_properties=False, batcher_config=batches)
     stream.send_recording_name(context.name)
     stream.set_log_time_enabled(False)
     return stream
@@ -44,10 +43,8 @@ SHOWN = 0.02
 """The weight from which on a place where the robot may be is drawn."""
 
 MOST_LANDMARKS = 3000
-"""Of a larger map only the landmarks within `NEAR_M` of the robot are drawn as lines, and points on the floor stand for
-the rest: tens of thousands of lines in every picture make a viewer slow."""
-
-NEAR_M = 30.0
+"""Of a larger map points on the floor stand for the landmarks: tens of thousands of lines make a viewer slow. Those
+that the camera should see are lines all the same."""
 
 _TEXT_LEVELS = {"WARNING": rr.TextLogLevel.WARN}
 
@@ -61,7 +58,6 @@ class Recorder:
         self._map_name = ""  # of several maps the one that is shown
         self._ends, self._points = context.landmark_ends, context.landmark_map.points
         self._number, self._t_ns = 0, 0
-        self._near: Array | None = None  # where the robot was when what is near was last drawn
         self._trails: dict[str, Array] = {}
         self._map_from_odometry: Array | None = None
         self._stages: tuple[str, ...] = ()
@@ -102,24 +98,22 @@ class Recorder:
         shown = self._context.landmark_map.seen_on(name)
         self._map_name, self._points = name, shown.points
         self._ends = replace(self._context, landmark_map=shown).landmark_ends
-        self._near, self._map_from_odometry = None, None
+        self._map_from_odometry = None
         self._trails.clear()
-        for path in (paths.LANDMARKS, paths.FAR, *paths.TRAILS):
+        for path in (paths.LANDMARKS, *paths.TRAILS):
             self._stream.log(path, rr.Clear(recursive=False))
         self._log_landmarks(static=False)
         self.message(self._t_ns, f"the map is {name}")
 
     def _log_landmarks(self, *, static: bool) -> None:
-        """Draw the landmarks of the map that is believed, of many of them only where they are."""
+        """Draw the landmarks of the map that is believed, of a large one only where some are."""
         here = self._context.landmark_map.is_on(self._map_name, self._points)
-        if len(self._ends) <= MOST_LANDMARKS:
-            self._stream.log(paths.LANDMARKS, draw.landmarks(self._ends[here], palette.UNSEEN, 2.4), static=static)
-        else:
-            self._stream.log(paths.FAR, draw.coarse(self._points[here], palette.UNSEEN), static=static)
+        is_large = len(self._ends) > MOST_LANDMARKS
+        of_all = draw.coarse(self._points[here]) if is_large else draw.landmarks(self._ends[here], palette.UNSEEN, 2.4)
+        self._stream.log(paths.LANDMARKS, of_all, static=static)
 
     def _log_map(self, frame: LocatedFrame) -> None:
         landmark, pose = frame.matches.landmark, frame.located.estimate.pose
-        self._log_near(pose[:2])
         matched = np.unique(landmark[landmark >= 0])
         expected = frame.matches.visible.copy()
         expected[matched] = False
@@ -127,16 +121,6 @@ class Recorder:
         self._stream.log(paths.MATCHED, draw.landmarks(self._ends[matched], palette.MATCHED, 4.5))
         points = self._points[matched]
         self._stream.log(paths.SIGHTS, draw.sights(self._context.camera.at(frame.located.edges.mount), pose, points))
-
-    def _log_near(self, position: Array) -> None:
-        """Draw the landmarks around the robot anew when it has gone some way on a large map."""
-        points = self._points
-        is_small = len(points) <= MOST_LANDMARKS
-        if is_small or (self._near is not None and np.hypot(*(position - self._near)) < NEAR_M / 3):
-            return
-        self._near = position.copy()
-        near = self._ends[np.hypot(*(points - position).T) <= NEAR_M]
-        self._stream.log(paths.LANDMARKS, draw.landmarks(near, palette.UNSEEN, 2.4))
 
     def _log_poses(self, frame: LocatedFrame) -> None:
         located, truth = frame.located, frame.truth
@@ -185,7 +169,7 @@ class Recorder:
         self._stream.log(paths.PLACES, draw.place_ellipses(shown))
         self._stream.log(paths.PLACE_ARROWS, draw.place_arrows(shown))
 
-    def _log_trail(self, path: str, pose: Array, colour: palette.Colour) -> None:
+    def _log_trail(self, path: str, pose: Array, colour: draw.Colour) -> None:
         # Only the newest piece: the layout shows all pieces up to the cursor, so a frame costs the same at the end of a
         # long run as at its start, and a frame that was dropped leaves no gap.
         start = self._trails.get(path, pose)
@@ -234,7 +218,7 @@ class Recorder:
         if context.truth is not None:
             log(paths.TRUTH_PATH, draw.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)
         errors = (("error", "3σ"), (palette.ESTIMATE, palette.UNSEEN))
-        lines: dict[str, tuple[Sequence[str], Sequence[palette.Colour]]] = {
+        lines: dict[str, tuple[Sequence[str], Sequence[draw.Colour]]] = {
             paths.ERROR: errors,
             paths.HEADING: errors,
             paths.P_CORRECT: (("p correct",), (palette.ESTIMATE,)),
@@ -255,72 +239,6 @@ def set_time(stream: rr.RecordingStream, number: int, t_ns: int) -> None:
         stream.set_time(paths.TIME, duration=np.timedelta64(t_ns, "ns"))
 
 
-def series(names: Sequence[str], colours: Sequence[palette.Colour]) -> rr.SeriesLines:
+def series(names: Sequence[str], colours: Sequence[draw.Colour]) -> rr.SeriesLines:
     """Return how the lines of a plot are called and coloured; colours repeat."""
     return rr.SeriesLines(names=names, colors=list(islice(cycle(colours), len(names))), widths=[1.5] * len(names))
-
-
-# -- a map that grows -----------------------------------------------------------------------------------------------
-
-PLACES, ELLIPSES = f"{paths.WORLD}/building/landmarks", f"{paths.WORLD}/building/ellipses"
-BEFORE, AFTER = f"{paths.WORLD}/trails/before_loops", f"{paths.WORLD}/trails/after_loops"
-_LARGEST_M = 1.0  # an ellipse beyond this would cover everything and say nothing
-
-
-class MapRecorder:
-    """Knows what the building of a map looks like in Rerun."""
-
-    def __init__(self, stream: rr.RecordingStream, context: Context) -> None:
-        self._stream, self._context = stream, context
-        self._number, self._t_ns = -1, 0
-        self._last: Array | None = None
-        log = stream.log
-        log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
-        log(paths.CAMERA, draw.pinhole(context.camera), rr.TransformAxes3D(0.0), static=True)
-        log(LANDMARKS, series(("landmarks",), (palette.VISIBLE,)), static=True)
-        log(SIGMA, series(("median", "90 % below"), (palette.MATCHED, palette.UNSEEN)), static=True)
-        log(paths.COUNTS, series(("all", "of landmarks"), (palette.UNMATCHED, palette.MATCHED)), static=True)
-
-    def frame(self, frame: Growing) -> None:
-        """Log one image and what is known after it."""
-        self._next(frame.t_ns)
-        log, pose = self._stream.log, frame.pose
-        last = pose if self._last is None else self._last
-        self._last = pose
-        log(paths.CAMERA, draw.camera_transform(self._context.camera, pose))
-        log(paths.ESTIMATE, draw.arrow(pose, palette.ESTIMATE, 4.0))
-        log(paths.ESTIMATE_TRAIL, draw.trail(np.stack([last[:2], pose[:2]]), palette.ESTIMATE))
-        if self._context.images:
-            log(paths.IMAGE, rr.Clear(recursive=False) if frame.image is None else draw.picture(frame.image))
-        log(paths.EDGES, draw.vertical_edges(frame.edges, frame.is_landmark))
-        self._log_landmarks(LandmarkMap.from_points(frame.points), frame.cov)
-        log(paths.SIGHTS, draw.sights(self._context.camera, pose, frame.points[frame.shown]))
-        log(paths.COUNTS, rr.Scalars([len(frame.edges), int(frame.is_landmark.sum())]))
-
-    def finish(self, finished: Finished) -> None:
-        """Log the map in the end, and the path with loops closed over the one without."""
-        self._next(self._t_ns)
-        log, made = self._stream.log, finished.landmark_map
-        self._log_landmarks(made, made.cov)
-        log(paths.SIGHTS, rr.Clear(recursive=False))
-        if finished.before is not None:
-            log(BEFORE, draw.trail(finished.before.poses[:, :2], palette.ODOMETRY, 1.2))
-            log(AFTER, draw.trail(finished.path.poses[:, :2], palette.TRUTH, 2.0))
-        log(paths.TEXT, rr.TextLog(finished.text, level=rr.TextLogLevel.INFO))
-
-    def _next(self, t_ns: int) -> None:
-        self._number, self._t_ns = self._number + 1, t_ns
-        set_time(self._stream, self._number, t_ns)
-
-    def _log_landmarks(self, known: LandmarkMap, cov: Array) -> None:
-        log = self._stream.log
-        ends = Context("", self._context.camera, known).landmark_ends
-        log(PLACES, draw.landmarks(ends, palette.MATCHED, 1.5))
-        certain = np.linalg.eigvalsh(cov)[:, 1] * draw.CHI2_95_2D < _LARGEST_M**2
-        pairs = zip(known.points[certain], cov[certain], strict=True)
-        lines = [draw.at_height(draw.ellipse_points(*one), 0.02) for one in pairs]
-        log(ELLIPSES, rr.LineStrips3D(lines, colors=palette.VISIBLE, radii=rr.Radius.ui_points(0.8)))
-        log(LANDMARKS, rr.Scalars([len(cov)]))
-        if len(cov):
-            sigma_cm = 100 * np.sqrt(np.trace(cov, axis1=1, axis2=2) / 2)
-            log(SIGMA, rr.Scalars(np.quantile(sigma_cm, (0.5, 0.9)).tolist()))

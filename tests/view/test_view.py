@@ -29,7 +29,6 @@ from localiser.observation import Matches
 from localiser.particles import Particles, effective_sample_size, estimate, from_gaussian
 from localiser.view import Context, LiveView, RrdFile, palette, paths
 from localiser.view.draw import CHI2_95_2D, MOST_PARTICLES, MOST_POINTS, camera_pose, ellipse_points, joins
-from localiser.view.recorder import NEAR_M
 from localiser.view.viewer import Kind, viewer_command
 
 FRAMES, STEP_NS = 5, 200_000_000
@@ -223,30 +222,19 @@ def test_landmarks_are_matched_expected_or_neither(whole: Any) -> None:
     assert {len(lines) for lines in content[paths.SIGHTS]["LineStrips3D:strips"]} == {2}
 
 
-def test_of_a_large_map_what_is_near_is_drawn_and_the_rest_is_coarse(tmp_path: Path) -> None:
-    """And what is near is drawn anew only where the robot has gone some way."""
+def test_a_large_map_is_drawn_as_points(tmp_path: Path) -> None:
     points = np.concatenate([MAP.points, np.random.default_rng(0).uniform(-400, 400, (20_000, 2))])
-    large = LandmarkMap.from_points(points)
-    sink = RrdFile(tmp_path / "run.rrd", context(landmark_map=large, truth=None, images=False))
-    for number in range(FRAMES):
-        located, _ = frame(number)
-        if number >= 3:
-            moved = located.estimate.mean + np.array([100.0, 0.0, 0.0])
-            located = replace(located, estimate=replace(located.estimate, mean=moved))
-        one = shown(located, None, None, STAGE_MS)
-        visible = np.concatenate([one.matches.visible, np.zeros(20_000, dtype=bool)])
-        sink.frame(replace(one, matches=replace(one.matches, visible=visible)))
+    sink = RrdFile(
+        tmp_path / "run.rrd", context(landmark_map=LandmarkMap.from_points(points), truth=None, images=False)
+    )
+    one = shown(frame(0)[0], None, None, STAGE_MS)
+    visible = np.concatenate([one.matches.visible, np.zeros(20_000, dtype=bool)])
+    sink.frame(replace(one, matches=replace(one.matches, visible=visible)))
     sink.close(True)
     content = read(tmp_path / "run.rrd")
-    (coarse,) = content[paths.FAR]["Points3D:positions"]
+    (coarse,) = content[paths.LANDMARKS]["Points3D:positions"]
     assert 1000 < len(coarse) <= MOST_POINTS
-    near = content[paths.LANDMARKS]["LineStrips3D:strips"]
-    assert len(near) == 2
-    for strips, x in zip(near, (0.0, 100.0), strict=True):
-        feet = np.array(strips)[:, 0, [0, 2]]
-        expected = (np.hypot(*(points - [x, 0.0]).T) < NEAR_M - 1.0).sum()
-        assert expected <= len(feet) < 2 * expected
-        assert np.hypot(*(feet - [x, 0.0]).T).max() < NEAR_M + 1.0
+    assert [len(strips) for strips in content[paths.MATCHED]["LineStrips3D:strips"]] == [2]
 
 
 def test_image_is_a_jpeg_of_the_cameras_size_and_files_pass_through(tmp_path: Path) -> None:

@@ -107,43 +107,6 @@ def test_the_drive_of_a_map_starts_where_it_began_and_another_is_looked_for(tmp_
         read_map(out)
 
 
-def recorded(path: Path) -> dict[str, list[list[object]]]:
-    """Return the rows of points, lines and numbers of every entity in a recording, in the order of frames."""
-    from rerun.chunk import RrdReader
-
-    rows: dict[str, list[list[object]]] = {}
-    for chunk in RrdReader(path).stream():
-        batch = chunk.to_record_batch()
-        for name, column in zip(batch.schema.names, batch.columns, strict=True):
-            if name.endswith((":positions", ":strips", ":scalars", ":text")):
-                rows.setdefault(chunk.entity_path.removeprefix("/"), []).extend(column.to_pylist())
-    return rows
-
-
-@pytest.mark.parametrize("truth", [True, False])
-def test_the_recording_shows_how_the_map_came_about(tmp_path: Path, truth: bool) -> None:
-    log = edge_log(tmp_path / "log", world("corridor").edges(seed=0)[:60], truth=truth)
-    recording, out, track = tmp_path / "map.rrd", tmp_path / "map.yaml", tmp_path / "path.tum"
-    assert run("map", "build", log, "-o", out, "--trajectory", track, "--rrd", recording, "-q").exit_code == 0
-    rows = recorded(recording)
-    places, ellipses = rows["world/building/landmarks"], rows["world/building/ellipses"]
-    assert len(places) == len(ellipses) == len(rows["world/camera/overlay/edges"]) + 1 == 61
-    count = [len(row) for row in places]
-    assert count == sorted(count)
-    assert count[0] < count[-1] == len(read_map(out))
-    assert [row[0] for row in rows["plots/landmarks"]] == count
-    edges, of_landmarks = np.array(rows["plots/edges"]).T
-    assert (of_landmarks <= edges).all() and of_landmarks.any()
-    # What is drawn last is what is in the file.
-    drawn = np.array([line[0] for line in places[-1]])[:, [0, 2]]
-    assert drawn == pytest.approx(read_map(out).points, abs=1e-3)
-    if not truth:
-        (before,), (after,) = rows["world/trails/before_loops"], rows["world/trails/after_loops"]
-        assert np.array(after[0])[:, [0, 2]] == pytest.approx(read_poses(track).poses[:, :2], abs=1e-4)
-        assert np.shape(before[0]) == np.shape(after[0])
-    assert "expected a new file" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--rrd", recording)
-
-
 @pytest.mark.parametrize("poses", ["truth", "nowhere.tum"])
 def test_missing_poses_are_named(tmp_path: Path, poses: str) -> None:
     log = edge_log(tmp_path / "log", world("corridor").edges(seed=0), truth=False)
@@ -252,7 +215,7 @@ def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses:
         edges = edges[:4]
     log, folder = edge_log(tmp_path / "log", edges), tmp_path / "out"
     folder.mkdir()
-    files = ("-o", folder / "map.yaml", "--trajectory", folder / "path.tum", "--rrd", folder / "new.rrd")
+    files = ("-o", folder / "map.yaml", "--trajectory", folder / "path.tum")
     assert "expected" in refused("map", "build", log, "--poses", poses, *files)
     assert not list(folder.iterdir())
 
