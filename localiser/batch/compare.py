@@ -37,8 +37,6 @@ Pair = tuple[Row, Row]
 # -- a row for each log and choice, with median and worst over seeds --------------------------------------------------
 
 UNKNOWN = "–"
-
-
 COLUMNS = (
     Column("RMSE\n(m)", "position_rmse_m", ".3f"),
     Column("head-\ning (°)", "heading_rmse_deg", ".2f"),
@@ -48,68 +46,31 @@ COLUMNS = (
     Column("image\n(ms)", "frame_ms_median", ".0f"),
 )
 """Of the table in the terminal: few enough for 80 characters. "-" ends a divided word."""
-WRITTEN = (Column("odometry alone (m)", "odometry_position_rmse_m", ".3f"), *COLUMNS[:-1])
-"""Of the table as Markdown: with what the wheels alone do, without times, which differ from run to run."""
-MEDIAN_ALONE = ("frame_ms_median", "odometry_position_rmse_m")
-"""Figures of which the worst over seeds says nothing."""
 
 
-class Summary(NamedTuple):
-    """The cells of a batch's table. same: what was chosen alike for all runs. titles, rows: of its columns.
+def summary_table(rows: Sequence[Row]) -> Table:
+    """Return the table of a batch: the median over seeds of each log and choice, and the worst in brackets.
 
-    The columns are the log, as many `choices` as were varied, the number of runs, and the figures.
-    """
-
-    same: str
-    titles: list[str]
-    choices: int
-    rows: list[list[str]]
-
-
-def summary_of(rows: Sequence[Row], columns: Sequence[Column] = COLUMNS) -> Summary:
-    """Return the median over seeds of each log and choice, and the worst in brackets.
-
-    Figures that no run knows are left out.
+    What was chosen alike for all runs is in the title; figures that no run knows are left out.
     """
     choices = [name for name in rows[0] if name == "config" or name.startswith(CHOICE)]
     varied = [name for name in choices if len({row[name] for row in rows}) > 1]
     same = [f"{_titled(name)} {rows[0][name]}" for name in choices if name not in varied and rows[0][name] is not None]
-    known = [column for column in columns if any(column.is_known(column.of(row)) for row in rows)]
+    known = [column for column in COLUMNS if any(column.is_known(column.of(row)) for row in rows)]
+    title = "\n".join(["Median over seeds (worst, where it differs)", *filter(None, [", ".join(same)])])
+    chosen = [_titled(name).replace(".", ".\n") for name in varied]
+    table = new_table(title, "log", *chosen, "runs", *(column.title for column in known), texts=1 + len(varied))
 
     def group(row: Row) -> tuple[Any, ...]:
         return (row["log"], row["log_path"], *(row[name] for name in varied))
 
-    cells = []
     for _, members in groupby(rows, key=group):
         runs = list(members)
-        chosen = [UNKNOWN if runs[0][name] is None else str(runs[0][name]) for name in varied]
-        cells.append([str(runs[0]["log"]), *chosen, _count(runs), *(_over_seeds(runs, column) for column in known)])
-    titles = ["log", *(_titled(name) for name in varied), "runs", *(column.title for column in known)]
-    return Summary(", ".join(same), titles, len(varied), cells)
-
-
-def summary_table(rows: Sequence[Row]) -> Table:
-    """Return the table of a batch for a terminal; see `summary_of`."""
-    summary = summary_of(rows)
-    title = "\n".join(["Median over seeds (worst, where it differs)", *filter(None, [summary.same])])
-    told = 1 + summary.choices
-    titles = [name.replace(".", ".\n") for name in summary.titles[:told]]
-    table = new_table(title, *titles, *summary.titles[told:], texts=told)
-    for cells in summary.rows:
-        table.add_row(*cells)
+        values = [UNKNOWN if runs[0][name] is None else str(runs[0][name]) for name in varied]
+        failed = sum(run["error"] is not None for run in runs)
+        count = f"{len(runs)}, {failed} failed" if failed else str(len(runs))
+        table.add_row(str(runs[0]["log"]), *values, count, *(_over_seeds(runs, column) for column in known))
     return table
-
-
-def summary_markdown(rows: Sequence[Row]) -> str:
-    """Return the table of a batch as Markdown; the same batch writes the same bytes."""
-    summary = summary_of(rows, WRITTEN)
-    titles = [title.replace("-\n", "").replace("\n", " ") for title in summary.titles]
-    told = 1 + summary.choices
-    rule = [*(["---"] * told), *(["--:"] * (len(titles) - told))]
-    escaped = ([cell.replace("|", "&#124;") for cell in cells] for cells in (titles, rule, *summary.rows))
-    lines = [f"| {' | '.join(cells)} |" for cells in escaped]
-    same = [f"All runs: {summary.same}.", ""] if summary.same else []
-    return "\n".join([*same, *lines]) + "\n"
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
@@ -117,14 +78,9 @@ def failures(rows: Sequence[Row]) -> list[str]:
     texts = []
     for row in rows:
         names = [name for name in row if name.startswith(CHOICE) or name in ("config", "seed")]
-        told = ", ".join(f"{_titled(name)} {row[name]}" for name in names if row[name] is not None)
-        texts.append(f"{row['log']}{f' ({told})' if told else ''}: {row['error']}")
+        chosen = ", ".join(f"{_titled(name)} {row[name]}" for name in names if row[name] is not None)
+        texts.append(f"{row['log']}{f' ({chosen})' if chosen else ''}: {row['error']}")
     return [text for text, row in zip(texts, rows, strict=True) if row["error"]]
-
-
-def _count(runs: Sequence[Row]) -> str:
-    failed = sum(run["error"] is not None for run in runs)
-    return f"{len(runs)}, {failed} failed" if failed else str(len(runs))
 
 
 def _over_seeds(runs: Sequence[Row], column: Column) -> str:
@@ -132,7 +88,7 @@ def _over_seeds(runs: Sequence[Row], column: Column) -> str:
     if not known:
         return column.text(None)
     median, worst = column.text(float(np.median(known))), column.text(column.worst(known))
-    return median if worst == median or column.key in MEDIAN_ALONE else f"{median} ({worst})"
+    return median if worst == median or column.key == "frame_ms_median" else f"{median} ({worst})"
 
 
 def _titled(name: str) -> str:

@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 
 from localiser import __version__
 from localiser.batch.choices import Choice, Contents, Opening, contents_of, map_id, run_id
-from localiser.batch.compare import CSV, summary_markdown
+from localiser.batch.compare import CSV
 from localiser.config import Config
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
-from localiser.evaluate import flat_figures, is_time
+from localiser.evaluate import flat_figures
 from localiser.replay import FolderRun, Outputs, prepare
 from localiser.storage import (
     CHOICE,
@@ -153,14 +153,8 @@ def _dask(address: str) -> Iterator[None]:
 # -- the batch --------------------------------------------------------------------------------------------------------
 
 Row = dict[str, Any]
-SUMMARY, ROW = "table.md", "row.json"
+ROW = "row.json"
 SIGINT_EXIT_CODE = 130
-FIRST_FIGURES = (
-    "frames", "position_rmse_m", "position_median_m", "position_max_m", "position_end_m", "heading_rmse_deg",
-    "odometry_position_rmse_m", "nees_mean", "edges_per_frame", "confidence.sure", "confidence.sure_and_wrong",
-    "confidence.found_s", "confidence.not_found", "warnings",
-)  # fmt: skip
-"""The columns that people read first; the others follow by their names, times last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,8 +188,8 @@ def run_batch(
     """Run every combination that is not done yet, and return a row for each, in the order of logs and choices.
 
     begun: called with the numbers of runs that are done and left; returns what is called after each run. The rows are
-    in `runs.csv` of the folder too, and what they came to in `table.md`; those of an interrupted
-    batch as far as it got. A run that fails is a row with its reason, and is tried again by the next batch.
+    in `runs.csv` of the folder too; those of an interrupted batch as far as it got. A run that fails is a row with its
+    reason, and is tried again by the next batch.
 
     Raises RunEndedEarlyError, OutputError.
     """
@@ -232,7 +226,7 @@ def run_batch(
                 else:
                     kept = batch.folder / run.folder / ROW
                     write_text(kept, json_text(flat_figures(outcome.metrics)))
-                    rows[outcome.number] = _row(run, read_figures(kept))
+                    rows[outcome.number] = run.about | read_figures(kept)
                 advance()
         except KeyboardInterrupt:
             rows |= _rows_done(batch.folder, runs)  # one may have been written just before
@@ -241,7 +235,6 @@ def run_batch(
         finally:
             if ordered := [rows[number] for number in sorted(rows)]:
                 write_text(batch.folder / CSV, csv_text(ordered))
-                write_text(batch.folder / SUMMARY, summary_markdown(ordered))
     return ordered
 
 
@@ -285,12 +278,5 @@ def _rows_done(folder: Path, runs: Sequence[_Run]) -> dict[int, Row]:
         if run.error is not None:  # it cannot be begun
             rows[number] = run.about
         elif path.is_file():
-            rows[number] = _row(run, read_figures(path))
+            rows[number] = run.about | read_figures(path)
     return rows
-
-
-def _row(run: _Run, figures: Row) -> Row:
-    """Return the row of a run that is complete, with its columns in the order of the tables."""
-    first = [name for name in FIRST_FIGURES if name in figures]
-    others = sorted(figures.keys() - set(first) - run.about.keys(), key=lambda name: (is_time(name), name))
-    return run.about | {name: figures[name] for name in [*first, *others]}

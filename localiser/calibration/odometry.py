@@ -12,7 +12,7 @@ values in force, so that an alpha of which the drives tell nothing keeps its val
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +38,6 @@ _PRIOR_SIGMA = np.log(10.0)
 _KNOWN_DRIVES = 2.0
 """As many drives as the sigmas of the constant errors in force count for."""
 _TURNS = 5
-_STEP = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,32 +241,17 @@ def _noise(
 
     start = np.log([max(getattr(motion, name), 1e-9) for name in ALPHAS])
     found = np.asarray(minimize(cost, start, method="L-BFGS-B", bounds=[(np.log(1e-9), 0.0)] * 4).x)
-    return _with_alphas(motion, found), np.exp(np.sqrt(np.diag(np.linalg.inv(_curvature(cost, found)))))
+    # Fisher's information of the logarithms: ½ Σ (∂ ln var)(∂ ln var)ᵀ, and that of the prior.
+    turned, path, none = pieces.turned_rad, pieces.path_m, np.zeros(len(pieces))
+    by_alpha = np.exp(found)[:, None, None] * np.array([[none, turned], [none, path], [path, none], [turned, none]])
+    by_log = (by_alpha / (pieces.noise_var(_with_alphas(motion, found)) + pieces.truth_var).T).reshape(4, -1)
+    cov = np.linalg.inv(0.5 * by_log @ by_log.T + _PRIOR_SIGMA**-2 * np.eye(4))
+    return _with_alphas(motion, found), np.exp(np.sqrt(np.diag(cov)))
 
 
 def _with_alphas(motion: MotionParameters, logs: Array) -> MotionParameters:
     one, two, three, four = map(float, np.exp(logs))
     return replace(motion, alpha1=one, alpha2=two, alpha3=three, alpha4=four)
-
-
-def _curvature(cost: Callable[[Array], float], at: Array) -> Array:
-    """Return the second derivatives (4, 4) of a cost by central differences, made positive definite."""
-    step, count = 50 * _STEP, len(at)
-    unit = step * np.eye(count)
-    found = np.array(
-        [
-            [
-                cost(at + unit[i] + unit[j])
-                - cost(at + unit[i] - unit[j])
-                - cost(at - unit[i] + unit[j])
-                + cost(at - unit[i] - unit[j])
-                for j in range(count)
-            ]
-            for i in range(count)
-        ]
-    ) / (4 * step**2)
-    value, axes = np.linalg.eigh(found)
-    return np.asarray((axes * np.maximum(value, _PRIOR_SIGMA**-2)) @ axes.T)
 
 
 def _with_bias(motion: MotionParameters, constants: Array, sigmas: Array) -> MotionParameters:

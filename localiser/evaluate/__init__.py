@@ -17,7 +17,6 @@ from localiser.evaluate.tables import (
     figure_at,
     fit_width,
     flat_figures,
-    is_time,
     learnt_constants,
     new_table,
     run_tables,

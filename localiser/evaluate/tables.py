@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 # -- flat rows --------------------------------------------------------------------------------------------------------
 
-TIMES = ("frame_ms_median", "frame_ms_p95", "stage_ms")
-"""How the names begin of figures that tell how long something took: alone of all, they differ from run to run."""
-
 
 def figure_at(figures: Mapping[str, Any], name: str) -> Any:
     """Return the figure of that name, as `flat_figures` has it (`group.figure`), None where it is not there."""
@@ -40,11 +37,6 @@ def flat_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
     run.
     """
     return dict(_flat(figures, ""))
-
-
-def is_time(name: str) -> bool:
-    """Whether a figure tells how long something took."""
-    return name.startswith(TIMES)
 
 
 def _flat(figures: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

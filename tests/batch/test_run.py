@@ -16,7 +16,6 @@ import pytest
 from short_log import CORRIDOR, FEW_PARTICLES, Localiser, Result, cut_log
 
 from localiser.batch import run
-from localiser.evaluate import is_time
 from localiser.storage import csv_text, read_figures, read_runs
 
 IMAGES = 4
@@ -48,7 +47,7 @@ def batch(localiser: Localiser, out: Path, *arguments: object) -> Result:
 def rows(out: Path) -> list[dict[str, str]]:
     """Return the rows without the columns that differ from run to run."""
     with (out / "runs.csv").open(newline="") as file:
-        return [{name: cell for name, cell in row.items() if not is_time(name)} for row in csv.DictReader(file)]
+        return [{name: cell for name, cell in row.items() if "_ms" not in name} for row in csv.DictReader(file)]
 
 
 def test_a_batch_has_the_figures_of_single_replays(localiser: Localiser, log: Path, tmp_path: Path) -> None:
@@ -63,8 +62,6 @@ def test_a_batch_has_the_figures_of_single_replays(localiser: Localiser, log: Pa
     for name in ("trajectory.csv", "trajectory.tum", "config.yaml"):
         assert (folder / name).read_bytes() == (single / name).read_bytes()
     assert found[3]["position_rmse_m"] != found[2]["position_rmse_m"]
-    table = (tmp_path / "out" / "table.md").read_text().splitlines()
-    assert table[2].startswith("| log | observation.kind | runs | odometry alone (m) |") and len(table) == 6
 
 
 def test_what_is_done_is_not_done_again(localiser: Localiser, log: Path, tmp_path: Path, began: list[int]) -> None:

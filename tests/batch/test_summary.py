@@ -9,7 +9,6 @@ from rich.console import Console
 from rich.table import Table
 
 from localiser.batch import compare_with, comparison_table, failures, summary_table
-from localiser.batch.compare import summary_markdown
 
 
 def lines(table: Table, width: int = 80) -> list[str]:
@@ -35,20 +34,6 @@ def test_failed_runs_are_counted_and_left_out_of_the_figures() -> None:
     rows = [row("a", 0, 0.1), row("a", 1, None)]
     assert lines(summary_table(rows))[-1] == "a 2, 1 failed 0.100"
     assert failures(rows) == ["a (seed 1): no such log"]
-
-
-def test_the_table_as_markdown_has_the_odometry_and_no_times() -> None:
-    full = {"set.mcl.particles": "9", "odometry_position_rmse_m": 0.52, "frame_ms_median": 123.0}
-    rows = [row("a|b", seed, 0.1 + seed, **full, **{"set.observation.kind": "line"}) for seed in range(2)]
-    rows += [row("c", 0, 0.2, **full, **{"set.observation.kind": "slope"})]
-    assert summary_markdown(rows).splitlines() == [
-        "All runs: mcl.particles 9.",
-        "",
-        "| log | observation.kind | runs | odometry alone (m) | RMSE (m) |",
-        "| --- | --- | --: | --: | --: |",
-        "| a&#124;b | line | 2 | 0.520 | 0.600 (1.100) |",
-        "| c | slope | 1 | 0.520 | 0.200 |",
-    ]
 
 
 def test_comparisons_say_what_changed_by_how_much() -> None:
