@@ -231,3 +231,14 @@ def coarse_bearings(
     cameras = np.concatenate(paths)
     of = landmarks_of_coarse_bearings(sightings, cameras, sigma, parameters.range_max_m)
     return fit_landmarks(sightings, renumber(long_enough(of)), cameras, sigma), None
+
+
+def matched(places: Array, points: Array) -> Array:
+    """Return how far (L,) each place is from the point that is its own; each point is of one place."""
+    from scipy.optimize import linear_sum_assignment
+
+    apart = np.linalg.norm(places[:, None] - points[None], axis=-1)
+    row, column = linear_sum_assignment(np.minimum(apart, 1.0))
+    error = np.full(len(places), np.inf)
+    error[row] = apart[row, column]
+    return error

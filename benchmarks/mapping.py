@@ -6,7 +6,6 @@ python benchmarks/mapping.py long               # time and memory, two to ten mi
 python benchmarks/mapping.py long --times 24 48 # half an hour, an hour
 python benchmarks/mapping.py nees LOG…          # covariances against exact edges, poses known
 python benchmarks/mapping.py slam LOG…          # logs with true poses, which are used to judge only
-python benchmarks/mapping.py coarse             # coarse bearings of a simulated robot, from a log alone
 python benchmarks/mapping.py bearings LOG…      # logs of coarse bearings with true poses, and a map to judge by
 """
 
@@ -22,6 +21,7 @@ from time import process_time
 
 import mrclam
 import numpy as np
+from coarse_bearings import matched
 
 from localiser import documents, mapping, simulate
 from localiser.camera import Camera
@@ -38,7 +38,6 @@ from localiser.mapping import (
     build_map,
     direction_of,
     edges_of_log,
-    turn_drift,
     wheels_of,
 )
 from localiser.mapping.landmarks import fit_landmarks
@@ -285,8 +284,6 @@ def nees_from_start(built: mapping.MapBuilt, log: Log, path: Path) -> str:
 
 def bearings(logs: list[Path]) -> None:
     """Print how many landmarks are found by bearings from known poses; each is matched with one of its own."""
-    from coarse_worlds import matched
-
     print("| log | landmarks | built | within 0.25 m | within 0.1 m | median m | seconds |")
     for path in logs:
         log = open_log(path)
@@ -300,53 +297,24 @@ def bearings(logs: list[Path]) -> None:
         )
 
 
-def coarse(seeds: range) -> None:
-    """Print how good maps of coarse bearings alone are, by how bad the wheels are; after the best similarity."""
-    from coarse_worlds import CAMERA, coarse_drive, matched
-
-    print("| wheels | seed | drift a turn ° | RMSE m | landmarks | found | median m | seconds |")
-    for wheel_error in (0.1, 0.3, 0.5, 1.0):
-        for seed in seeds:
-            drive = coarse_drive(seed, wheel_error)
-            begin = process_time()
-            found = mapping.build_from_log(
-                drive.sightings, drive.wheels, PRIOR, np.zeros(3), CAMERA, MappingParameters()
-            )
-            cameras = found.cameras
-            made = mapping.landmark_map_of(
-                drive.sightings, found.built, cameras, found.sigma, CAMERA, MappingParameters(), "", ""
-            )
-            seconds = process_time() - begin
-            lay = rigid(found.poses, drive.truth, scaled=True)
-            off = np.linalg.norm(lay(found.poses[:, :2]) - drive.truth[:, :2], axis=1)
-            error = matched(drive.posts, lay(made.points))
-            print(
-                f"| {wheel_error} | {seed} | {np.rad2deg(turn_drift(drive.wheels)):.1f} | "
-                f"{np.sqrt((off**2).mean()):.3f} | {len(made)} | {(error < 0.25).sum()} of {len(error)} | "
-                f"{np.median(error):.3f} | {seconds:.0f} |",
-                flush=True,
-            )
-
-
 def aligned(found: Array, truth: Array) -> Array:
     """Return the distances (T,) of poses (T, 3) after the best rotation and translation."""
     return np.linalg.norm(rigid(found, truth)(found[:, :2]) - truth[:, :2], axis=1)
 
 
-def rigid(found: Array, truth: Array, *, scaled: bool = False) -> Callable[[Array], Array]:
-    """Return the motion of points (K, 2), with `scaled` a similarity, that brings poses (T, 3) nearest to the truth."""
+def rigid(found: Array, truth: Array) -> Callable[[Array], Array]:
+    """Return the motion of points (K, 2) that brings poses (T, 3) nearest to the truth."""
     middle, other = found[:, :2].mean(axis=0), truth[:, :2].mean(axis=0)
-    left, size, right = np.linalg.svd((found[:, :2] - middle).T @ (truth[:, :2] - other))
+    left, _, right = np.linalg.svd((found[:, :2] - middle).T @ (truth[:, :2] - other))
     sign = np.array([1.0, np.linalg.det(left @ right)])
     turn = left @ np.diag(sign) @ right
-    scale = float((size * sign).sum() / ((found[:, :2] - middle) ** 2).sum()) if scaled else 1.0
-    return lambda points: scale * (points - middle) @ turn + other
+    return lambda points: (points - middle) @ turn + other
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     mrclam.register()  # and the builder for coarse bearings
-    parser.add_argument("what", choices=("known", "laps", "long", "nees", "slam", "coarse", "bearings"))
+    parser.add_argument("what", choices=("known", "laps", "long", "nees", "slam", "bearings"))
     parser.add_argument("logs", nargs="*", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--clutter", type=float, default=3.0)
@@ -362,7 +330,5 @@ if __name__ == "__main__":
         nees(arguments.logs)
     elif arguments.what == "slam":
         slam(arguments.logs)
-    elif arguments.what == "coarse":
-        coarse(range(arguments.seeds))
     else:
         bearings(arguments.logs)

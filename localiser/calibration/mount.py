@@ -121,12 +121,11 @@ def mount_from_down(down: ArrayLike) -> Array:
 class Plumb:
     """What lines (K) say about tilt and roll.
 
-    mount: (2,) rad, cov: (2, 2) as if lines erred independently. plumb_sigma: rad, how far vertical edges are from
-    plumb beyond the error of measuring them. vertical: (K,) probability that a line is a vertical edge.
+    mount: (2,) rad. plumb_sigma: rad, how far vertical edges are from plumb beyond the error of measuring them.
+    vertical: (K,) probability that a line is a vertical edge.
     """
 
     mount: Array
-    cov: Array
     plumb_sigma: float
     vertical: Array
 
@@ -146,16 +145,15 @@ def vote_mount(lines: Lines, stated: Array) -> Array:
     return np.asarray(candidates[np.argmax(votes)])
 
 
-def fit_mount(lines: Lines, stated: Array, start: Array, plumb_sigma: float | None = None) -> Plumb:
+def fit_mount(lines: Lines, stated: Array, start: Array) -> Plumb:
     """Return what lines (K) say about tilt and roll, from a `start` (2,) near it, with the prior N(stated, PRIOR²).
 
     p(miss) = v N(0, sigma² + plumb_sigma²) + (1 - v) uniform, by expectation maximisation over which lines are
-    vertical; v and, when not given, plumb_sigma are found as well. With known weights this is design equation 10: the
-    direction whose squared misses sum to the least.
+    vertical; v and plumb_sigma are found as well. With known weights this is design equation 10: the direction whose
+    squared misses sum to the least.
     """
     prior = np.diag(PRIOR_SIGMA_RAD**-2)
-    mount, share = start, 0.5
-    plumb = plumb_sigma or _GRID_RAD / 2
+    mount, share, plumb = start, 0.5, _GRID_RAD / 2
     for _ in range(_ITERATIONS):
         miss, per_mount, sigma = lines.misses(mount)
         variance = sigma**2 + plumb**2
@@ -167,13 +165,12 @@ def fit_mount(lines: Lines, stated: Array, start: Array, plumb_sigma: float | No
         mount = mount + step
         if len(lines):
             share = float(np.clip(vertical.mean(), 0.01, 0.99))
-        if len(lines) and plumb_sigma is None:
             precise = vertical / variance**2
             excess = float((precise * (miss**2 - sigma**2)).sum() / max(float(precise.sum()), 1e-300))
             plumb = float(np.sqrt(max(excess, _LEAST_PLUMB_RAD**2)))
         if np.abs(step).max() < _CONVERGED_RAD:
             break
-    return Plumb(mount, cov, plumb, vertical)
+    return Plumb(mount, plumb, vertical)
 
 
 # -- all images of a log ----------------------------------------------------------------------------------------------

@@ -6,6 +6,8 @@ No word is broken. The tables of runs tell what runs know of themselves, and the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -110,34 +112,26 @@ def fit_width(table: Table, console: Console) -> list[Table]:
         return [table]
     count, cells = len(table.columns), [[str(cell) for cell in column.cells] for column in table.columns]
     # As many columns at the beginning as tell the rows apart.
-    told_apart = (k for k in range(1, count) if len(set(zip(*cells[:k], strict=True))) == len(table.rows))
-    keys = next(told_apart, 1)
+    keys = next((k for k in range(1, count) if len(set(zip(*cells[:k], strict=True))) == len(table.rows)), 1)
     pieces: list[Table] = []
     start = keys
     while start < count:
-        end = start + 1
-        while end < count and _width(_part(table, [*range(keys), *range(start, end + 1)]), console) <= console.width:
-            end += 1
-        pieces.append(_part(table, [*range(keys), *range(start, end)]))
+        end = count
+        while end > start + 1 and _width(_part(table, keys, start, end), console) > console.width:
+            end -= 1
+        pieces.append(_part(table, keys, start, end))
         start = end
     pieces = pieces or [table]
     pieces[0].title, pieces[-1].caption = table.title, table.caption
     return pieces
 
 
-def _part(table: Table, chosen: Sequence[int]) -> Table:
-    """Return a table with these columns alone."""
-    from copy import copy
-
+def _part(table: Table, keys: int, start: int, end: int) -> Table:
+    """Return a table of its first columns, `keys` of them, and those from `start` to `end`, without a title."""
     part = copy(table)
     part.title = part.caption = None
-    part.columns = []
-    part.rows = []
-    columns = [table.columns[index] for index in chosen]
-    for column in columns:
-        part.add_column(column.header, justify=column.justify, vertical=column.vertical, style=column.style)
-    for row, cells in zip(table.rows, zip(*(column.cells for column in columns), strict=True), strict=True):
-        part.add_row(*cells, style=row.style, end_section=row.end_section)
+    chosen = [*table.columns[:keys], *table.columns[start:end]]
+    part.columns = [replace(column, _index=place) for place, column in enumerate(chosen)]
     return part
 
 

@@ -6,8 +6,6 @@ from localiser.mapping.build import (
     Builder,
     MapBuilt,
     build_map,
-    require_association,
-    turn_drift,
 )
 from localiser.mapping.check import (
     ENOUGH,

@@ -2,7 +2,7 @@
 
 Robot poses are known (a truth, a trajectory, unchanged odometry), or they are found together with the map (SLAM).
 Errors say why no map can be built, and how to get one: the robot does not move, there is too little parallax, there is
-only clutter, or the wheels are too inaccurate for the bearings.
+only clutter, or the bearings are too coarse.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from localiser.edges import EdgeParameters, Edges
 from localiser.errors import InputError
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.mapping.factors import Prior, Wheels
+from localiser.mapping.factors import Prior
 from localiser.mapping.known_poses import build_from_far_images, build_from_poses
 from localiser.mapping.landmarks import Built, measured_sigma
 from localiser.mapping.quality import landmark_map_of
@@ -49,34 +49,18 @@ COARSE_RAD = np.deg2rad(0.5)
 """Bearings worse than this are off by 4 cm five metres away: neighbours are mixed from one image to the next."""
 _LEAST_EXPLAINED = 0.1
 """Share of a log's edges below which its landmarks may be chance: poses that are free bend to fit some clutter."""
-_MOST_DRIFT_RAD = np.deg2rad(8.0)
-"""Heading error of the wheels in a full turn that coarse bearings still tell from the next landmark; see the docs."""
 _STANDING_M = 0.05
 
 
-def require_association(path: Path, sightings: Sightings, wheels: Wheels) -> None:
-    """Raise InputError when bearings are too coarse, and wheels too bad, to tell which landmark was seen.
-
-    A robot meets its landmarks again when it has turned round. Coarse bearings (median over `COARSE_RAD`) are
-    not followed from image to image reliably, so that wheels must say by then which landmark is which.
-    """
+def require_sharp(path: Path, sightings: Sightings) -> None:
+    """Raise InputError when bearings are too coarse (median over `COARSE_RAD`) to follow edges from image to image."""
     sigma = float(np.median(sightings.sigma))
-    drift = turn_drift(wheels)
-    if sigma > COARSE_RAD and drift > _MOST_DRIFT_RAD:
+    if sigma > COARSE_RAD:
         raise InputError(
-            f"expected bearings good to {np.rad2deg(COARSE_RAD):g}°, or wheels whose heading is good to "
-            f"{np.rad2deg(_MOST_DRIFT_RAD):g}° after a full turn; found {np.rad2deg(sigma):.1f}° and "
-            f"{np.rad2deg(drift):.0f}° (motion.alpha1, motion.alpha2): nothing tells which landmark was seen, and the "
-            f"map would be wrong; --poses {TRUTH} or the trajectory of another program makes one",
+            f"expected bearings good to {np.rad2deg(COARSE_RAD):g}°, found {np.rad2deg(sigma):.1f}°: they do not tell "
+            "neighbours apart from one image to the next; such logs need true poses and a builder in mapping.BUILDERS",
             path=path,
-            field="--poses",
         )
-
-
-def turn_drift(wheels: Wheels) -> float:
-    """Return how far (rad, one sigma) the wheels' heading is off after a full turn, or at the end if that is sooner."""
-    turned = float(np.abs(wheels.motion[:, 2]).sum())
-    return float(np.sqrt(wheels.cov[:, 2, 2].sum() * min(1.0, 2 * np.pi / max(turned, 1e-9))))
 
 
 def require_landmarks(
@@ -87,33 +71,26 @@ def require_landmarks(
     parameters: MappingParameters,
 ) -> None:
     """Raise InputError unless there are landmarks, and they explain more of the edges than chance might."""
-    followed, widest = built.count >= parameters.sightings_min, np.rad2deg(built.parallax)
     explained = 0.0 if landmark_map.quality is None else float(landmark_map.quality.sightings.sum()) / len(sightings)
     if len(landmark_map) and explained >= _LEAST_EXPLAINED:
         return
+    followed, widest = built.count >= parameters.sightings_min, np.rad2deg(built.parallax)
     one_sided = float(built.count[followed & (widest < parameters.parallax_min_deg)].sum()) / len(sightings)
-    too_little = (
-        f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found %s: "
-        "too little parallax to tell distances; drive past things, not only towards them"
-    )
-    if len(landmark_map) and one_sided > 0.5:
-        problem = too_little % f"that {100 * one_sided:.0f} % of the edges are not"
-    elif len(landmark_map):
-        problem = (
-            f"expected edges that belong to landmarks, found {len(landmark_map)} that explain {100 * explained:.0f} % "
-            "of the edges: what the images show is clutter, or the poses do not fit them"
-        )
-    elif not followed.any():
+    if not followed.any():
         problem = (
             f"expected edges that stay from image to image, found none in {parameters.sightings_min} of them "
             f"(at most {int(built.count.max(initial=0))}): what the images show is clutter, or too few of them overlap"
         )
-    elif widest[followed].max() < parameters.parallax_min_deg:
-        problem = too_little % f"at most {widest[followed].max():.1f}°"
+    elif one_sided > 0.5 or widest[followed].max() < parameters.parallax_min_deg:
+        problem = (
+            f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found that "
+            f"{100 * one_sided:.0f} % of the edges are not, and none from more than {widest[followed].max():.1f}°: "
+            "too little parallax to tell distances; drive past things, not only towards them"
+        )
     else:
         problem = (
-            "expected edges that are found again where they should be, found none likely enough to exist: what the "
-            "images show is clutter, or the poses do not fit them"
+            f"expected edges that belong to landmarks, found {len(landmark_map)} landmarks that explain "
+            f"{100 * explained:.0f} % of the edges: what the images show is clutter, or the poses do not fit them"
         )
     raise InputError(problem, path=log.path)
 
@@ -199,7 +176,7 @@ def build_map(
     trajectory = first.trajectory
     if name == SLAM:
         wheels = wheels_of(first.log.odometry, trajectory.t_ns, config.motion)
-        require_association(first.log.path, first.sightings, wheels)
+        require_sharp(first.log.path, first.sightings)
         prior = Prior.of(config.motion)
         slam = build_from_log(first.sightings, wheels, prior, trajectory.poses[0], first.log.camera, parameters)
         trajectory = Trajectory(trajectory.t_ns, slam.poses)
@@ -309,12 +286,7 @@ def _along(
     for builder in BUILDERS if exact else []:
         if made := builder(paths, sightings, sigma, parameters):
             return sightings, cameras, sigma, *made
-    if exact and np.median(sigma) > COARSE_RAD:
-        raise InputError(
-            f"expected bearings good to {np.rad2deg(COARSE_RAD):g}°, found {np.rad2deg(np.median(sigma)):.1f}°: they "
-            "do not tell neighbours apart from one image to the next; such logs need a builder in mapping.BUILDERS",
-            path=seen[0].log.path,
-        )
+    require_sharp(seen[0].log.path, sightings)
     tracks: list[Index] = []
     for one, path in zip(seen, paths, strict=True):
         count = 1 + max((int(track.max(initial=-1)) for track in tracks), default=-1)

@@ -20,8 +20,6 @@ more than their noise over some stretch of the way.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,7 +36,7 @@ from localiser.mapping.factors import (
 )
 from localiser.mapping.landmarks import Built
 from localiser.mapping.sightings import Index
-from localiser.mapping.smooth import Smoothed
+from localiser.mapping.smooth import Smoothed, halved
 from localiser.mapping.tracks import looks_alike
 
 # -- joint compatibility ----------------------------------------------------------------------------------------------
@@ -113,17 +111,7 @@ _PLACE_M = 4.0  # side of a place that is not divided further
 _AMBIGUOUS = 2.0  # log-likelihood by which a pair must beat every other pair of its landmarks
 
 
-class Places(Protocol):
-    """Landmarks (L) as smoothed, with the covariances of their differences."""
-
-    @property
-    def points(self) -> Array: ...  # noqa: D102
-    def landmark_cov(self) -> Array: ...  # noqa: D102
-    def difference_cov(self, one: Index, other: Index) -> Array: ...  # noqa: D102
-    def joint_difference_cov(self, one: Index, other: Index) -> Array: ...  # noqa: D102
-
-
-def same_landmarks(smoothed: Places, built: Built, frame: Index) -> Index:
+def same_landmarks(smoothed: Smoothed, built: Built, frame: Index) -> Index:
     """Return for each landmark (L) the number of the one that it is the same as; its own where there is none.
 
     smoothed: their places, and the joint covariance of these. built: how they look. frame: (K,) of the sightings used;
@@ -202,16 +190,13 @@ def _places(middle: Array, score: Array) -> list[Index]:
 
     Too many are divided at their median, into pairs of two places. In a place that is small the likeliest are taken.
     """
-    parts, places = [np.argsort(-score, kind="stable")] if len(score) else [], []
-    while parts:
-        part = parts.pop()
-        size = np.ptp(middle[part], axis=0)
-        if len(part) > _MOST_PAIRS and size.max() > _PLACE_M:
-            along = middle[part, size.argmax()]
-            parts += [part[along < np.median(along)], part[along >= np.median(along)]]
-        else:
-            places.append(part[:_MOST_PAIRS])
-    return places
+    likely = np.argsort(-score, kind="stable")
+    place = middle[likely]
+
+    def is_small(part: Index) -> bool:
+        return len(part) <= _MOST_PAIRS or bool(np.ptp(place[part], axis=0).max() <= _PLACE_M)
+
+    return [likely[part[:_MOST_PAIRS]] for part in halved(place, is_small)]
 
 
 def _partners(one: Index, other: Index, count: int) -> list[set[int]]:

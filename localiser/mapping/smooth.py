@@ -12,6 +12,7 @@ a sharp lower limit, which is the scale.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -115,8 +116,8 @@ class Smoothed:
 
     def difference_cov(self, one: Index, other: Index) -> Array:
         """Return the covariance (P, 2, 2) m² of the differences of pairs of landmarks."""
-        result = np.empty((len(one), 2, 2))
-        for near in _of_few_landmarks(self.points, one, other):
+        result, pairs = np.empty((len(one), 2, 2)), np.stack([one, other])
+        for near in halved(self.points[one], lambda part: len(np.unique(pairs[:, part])) <= _FEW_LANDMARKS):
             cov, i, j = self._joint_cov(one[near], other[near])
             result[near] = cov[i, i] + cov[j, j] - cov[i, j] - cov[j, i]
         return result
@@ -150,15 +151,17 @@ class Smoothed:
         return csc_array((np.ones(len(row)), (row, np.arange(len(row)))), shape=(size, len(row)))
 
 
-def _of_few_landmarks(points: Array, one: Index, other: Index) -> list[Index]:
-    """Return pairs (P,) of landmarks (L, 2) in parts of few landmarks each: those that are near each other."""
-    parts, done = [np.arange(len(one))] if len(one) else [], []
+def halved(places: Array, is_small: Callable[[Index], bool]) -> list[Index]:
+    """Return the places (P, 2) in parts that are small, their indices in order: divided at the median again and again.
+
+    is_small: whether a part, given by its indices, need not be divided.
+    """
+    parts, done = [np.arange(len(places))] if len(places) else [], []
     while parts:
         part = parts.pop()
-        place = points[one[part]]
-        along = place[:, np.ptp(place, axis=0).argmax()]
+        along = places[part, np.ptp(places[part], axis=0).argmax()]
         left = along < np.median(along)
-        if len(np.unique(np.stack([one[part], other[part]]))) <= _FEW_LANDMARKS or not left.any():
+        if is_small(part) or not left.any():
             done.append(part)
         else:
             parts += [part[left], part[~left]]

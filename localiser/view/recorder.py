@@ -169,7 +169,7 @@ class Recorder:
         self._stream.log(paths.PLACES, draw.place_ellipses(shown))
         self._stream.log(paths.PLACE_ARROWS, draw.place_arrows(shown))
 
-    def _log_trail(self, path: str, pose: Array, colour: draw.Colour) -> None:
+    def _log_trail(self, path: str, pose: Array, colour: palette.Colour) -> None:
         # Only the newest piece: the layout shows all pieces up to the cursor, so a frame costs the same at the end of a
         # long run as at its start, and a frame that was dropped leaves no gap.
         start = self._trails.get(path, pose)
@@ -218,7 +218,7 @@ class Recorder:
         if context.truth is not None:
             log(paths.TRUTH_PATH, draw.trail(context.truth.poses[:, :2], palette.TRUTH_AHEAD, 1.2), static=True)
         errors = (("error", "3σ"), (palette.ESTIMATE, palette.UNSEEN))
-        lines: dict[str, tuple[Sequence[str], Sequence[draw.Colour]]] = {
+        lines: dict[str, tuple[Sequence[str], Sequence[palette.Colour]]] = {
             paths.ERROR: errors,
             paths.HEADING: errors,
             paths.P_CORRECT: (("p correct",), (palette.ESTIMATE,)),
@@ -239,6 +239,6 @@ def set_time(stream: rr.RecordingStream, number: int, t_ns: int) -> None:
         stream.set_time(paths.TIME, duration=np.timedelta64(t_ns, "ns"))
 
 
-def series(names: Sequence[str], colours: Sequence[draw.Colour]) -> rr.SeriesLines:
+def series(names: Sequence[str], colours: Sequence[palette.Colour]) -> rr.SeriesLines:
     """Return how the lines of a plot are called and coloured; colours repeat."""
     return rr.SeriesLines(names=names, colors=list(islice(cycle(colours), len(names))), widths=[1.5] * len(names))

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from coarse_bearings import coarse_bearings
-from coarse_worlds import matched
+from coarse_bearings import coarse_bearings, matched
 from mrclam import MrclamReader
 
 from localiser import mapping, storage
 from localiser.config import read_config
 from localiser.edges import BearingSensor, Edges, complete
+from localiser.errors import InputError
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import MappingParameters, Sightings, build_map, direction_of
@@ -85,3 +85,10 @@ def test_a_real_robot_finds_the_landmarks_by_bearings_alone(data_dir: Path, robo
     error = matched(log.landmark_map.points, made.landmark_map.points)
     assert (error < 0.25).sum() >= 12
     assert np.median(error) <= 0.08
+
+
+@pytest.mark.data
+def test_coarse_bearings_alone_make_no_map(data_dir: Path) -> None:
+    log = open_log(data_dir / "mrclam:1")
+    with pytest.raises(InputError, match=r"expected bearings good to 0\.5°"):
+        build_map(log, "slam", read_config(None, [], log.settings))
