@@ -79,8 +79,7 @@ def plan_landmarks(plan: FloorPlan, name: str = "", source: str = "plan") -> Lan
     bump = float(np.clip(_BUMP_M / plan.resolution_m, *_BUMP_CELLS))
     # Walls without specks, and without holes that are as small: a corner that touches is no gap to look through.
     smallest = max(_SMALLEST_CELLS, (SMALLEST_M / plan.resolution_m) ** 2)
-    smooth = plan.occupied & ~_bumps(plan.occupied)
-    kept = _large(smooth | _bumps(~smooth), smallest, connectivity=8)
+    kept = _large(plan.occupied, smallest, connectivity=8)
     occupied = ~_large(~kept, _SMALLEST_CELLS, connectivity=4)
     traced = [(outline, _straight_pieces(outline)) for outline in outlines(occupied)]
     turns = sum(len(pieces) for _, pieces in traced)
@@ -91,25 +90,13 @@ def plan_landmarks(plan: FloorPlan, name: str = "", source: str = "plan") -> Lan
         turning = _without_bumps(outline, pieces, bump)
         if len(turning) >= _FEWEST_TURNS:
             corners += [_corners_at(outline, turning, k) for k in range(len(turning))]
-    cells = merge_near(np.concatenate(corners))
+    cells = np.concatenate(corners)
     cells = cells[_beside_floor(cells, plan.free & ~occupied)]
     points = map_from_cells(plan, cells)
     # A side of a cell stands anywhere within one cell of the wall that it was drawn for.
     variance = plan.resolution_m**2 / 12
     landmarks = LandmarkMap.from_points(points, name=name, bottom_m=np.zeros(len(points)), source=source)
     return replace(landmarks, cov=np.tile(variance * np.eye(2), (len(points), 1, 1)))
-
-
-def _bumps(mask: Mask) -> Mask:
-    """Return the single cells (H, W) that stick out of a straight side: five in a row behind them, none at their sides.
-
-    The tip of a wall that crosses the grid has no five cells in a row behind it.
-    """
-    found = np.zeros_like(mask)
-    pattern = np.array([[-1, -1, -1, -1, -1], [-1, -1, 1, -1, -1], [1, 1, 1, 1, 1]], dtype=np.int8)
-    for turned in (np.rot90(pattern, k) for k in range(4)):
-        found |= cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_HITMISS, turned).astype(bool)
-    return found
 
 
 def _large(mask: Mask, smallest: float, connectivity: int) -> Mask:
@@ -218,21 +205,6 @@ def line_through(points: Array) -> tuple[Array, Array]:
         across = offset @ np.array([-along[1], along[0]])
         weight = 1.0 / (1.0 + (across / _LINE_SIGMA_CELLS) ** 2)
     return middle, along
-
-
-def merge_near(points: Array, within: float = 1.0) -> Array:
-    """Return points (K, 2) with those nearer than `within` to each other replaced by their mean."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    if len(points) < 2:
-        return points
-    pairs = cKDTree(points).query_pairs(within, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
-    count, group = connected_components(links, directed=False)
-    size = np.bincount(group, minlength=count)
-    return np.stack([np.bincount(group, points[:, axis], count) / size for axis in (0, 1)], axis=-1)
 
 
 def _beside_floor(cells: Array, free: Mask) -> Mask:
