@@ -3,6 +3,16 @@
 Every pair of an edge and a landmark that are near each other is a row of one table, by the model of
 `edge_observation`. The optimal proposal takes the rows that are certain, the display the likeliest row of each edge.
 How far the map errs and how high the camera sits are told by the same rows.
+
+c_el, how well the ends of an edge agree with those of a landmark, is the squared part of the edge that lies between
+the landmark's ends, times for each end
+
+    m min(R_e / v_l, 1) + (1 - m) R_e N(e; e_l(pose), σ²)
+
+An edge either reaches where its landmark ends, or ends anywhere on the v_l that the image shows of it (m), while the
+density of clutter's ends is 1 / R_e there (`frame`). An end of a landmark beyond the image's border cannot be reached
+(min(R_e / v_l, 1) is left). One that the map does not know tells nothing, and an edge that the border ends is not
+short.
 """
 
 from __future__ import annotations
@@ -16,14 +26,10 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, image_heights, in_camera, sight, sigmas_m
-from localiser.observation import endpoint_likelihood as endpoints
-from localiser.observation.angle import Angle
+from localiser.observation.frame import TOLERANCE_PX, Frame, Indices, ends_lower_first, marked_landmarks
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
-from localiser.observation.likelihood import GATE_SIGMAS, MEAN_POLARITY, marked_landmarks
-from localiser.observation.parameters import ObservationParameters
+from localiser.observation.likelihood import GATE_SIGMAS, MEAN_POLARITY
 from localiser.observation.sighting import Matches, Sighting, Targets
-
-Indices = NDArray[np.int64]
 
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
 BESIDE_M = 0.15  # landmarks stand at most so far from where the map has them
@@ -50,18 +56,12 @@ class Expected:
     leaning: Array
     in_the_open: Array
 
-    @property
-    def count(self) -> float:
-        """How many landmarks are seen from one pose, at least 1."""
-        return max(float(self.in_the_open.sum()), 1.0)
 
-
-def expected_from(
-    angle: Angle, parameters: ObservationParameters, camera_poses: Array, landmark_map: LandmarkMap, map_scale: float
-) -> Expected:
-    """Return the landmarks that cameras at poses (N, 3) see; map_scale: of the map's sigmas."""
-    seen = sight(angle.camera, camera_poses, landmark_map, parameters.sight.far)
-    predicted, per_bearing = angle.predicted(seen.tangent)
+def expected_from(frame: Frame, camera_poses: Array, landmark_map: LandmarkMap, map_scale: float) -> Expected:
+    """Return the landmarks that the frame's camera sees from poses (N, 3); map_scale: of the map's sigmas."""
+    parameters = frame.parameters
+    seen = sight(frame.camera, camera_poses, landmark_map, parameters.sight.far)
+    predicted, per_bearing = frame.predicted(seen.tangent)
     landmark, per_m = seen.landmark, per_bearing / seen.range_m
     sigma_m = map_scale * sigmas_m(landmark_map, parameters.landmark_sigma_m)[landmark]
     return Expected(
@@ -83,10 +83,10 @@ class Association:
 
     expected: the landmarks seen. pair: (P,) index into these, edge: (P,). residual: (P,) measured minus expected angle,
     variance: (P,) of it (rad, rad²). odds: (P,) that the edge is this landmark's, against clutter that is spread
-    evenly, at an inlier rate of ½. measured, measured_var: (E,) of the edges.
+    evenly, at an inlier rate of ½.
     """
 
-    angle: Angle
+    frame: Frame
     sighting: Sighting
     landmark_map: LandmarkMap
     expected: Expected
@@ -95,41 +95,34 @@ class Association:
     residual: Array
     variance: Array
     odds: Array
-    measured: Array
-    measured_var: Array
 
     @classmethod
     def of(
         cls,
-        angle: Angle,
-        parameters: ObservationParameters,
+        frame: Frame,
         sighting: Sighting,
         landmark_map: LandmarkMap,
         expected: Expected,
         extra_var: Array | float = 0.0,
     ) -> Association:
         """Return how the edges of a sighting compare with what is expected; extra_var: (K,) rad², of that besides."""
-        edges = sighting.edges
-        measured, measured_var = angle.measured(edges)
+        (measured, measured_var), named = frame.measured, frame.edges.landmark_id
         variance = expected.variance + extra_var
         pair, edge = pairs_near(measured, measured_var, expected.angle, variance)
-        marked = marked_landmarks(edges, landmark_map)[edge]
-        said = (marked < 0) | (marked == expected.landmark[pair])  # a marker's side is that landmark, or clutter
-        pair, edge = pair[said], edge[said]
-        shared = np.where(marked[said] >= 0, 1.0, expected.count)
-        if parameters.association == "known":  # an edge is of the landmark that it names, or clutter
-            said = edges.landmark_id[edge] == expected.landmark[pair]
-            pair, edge, shared = pair[said], edge[said], np.ones(int(said.sum()))
+        if frame.parameters.association == "known":  # an edge is of the landmark that it names, or clutter
+            said, shared = named[edge] == expected.landmark[pair], np.ones(len(edge))
+        else:
+            marked = marked_landmarks(frame.edges, landmark_map)[edge]
+            said = (marked < 0) | (marked == expected.landmark[pair])  # a marker's side is that landmark, or clutter
+            shared = np.where(marked >= 0, 1.0, max(float(expected.in_the_open.sum()), 1.0))
+        pair, edge, shared = pair[said], edge[said], shared[said]
         residual, variance = measured[edge] - expected.angle[pair], variance[pair] + measured_var[edge]
-        density = normal(residual, variance) * agreement(angle, parameters, edges, expected, pair, edge)
-        odds = density * angle.span_rad / shared
-        return cls(
-            angle, sighting, landmark_map, expected, pair, edge, residual, variance, odds, measured, measured_var
-        )
+        odds = normal(residual, variance) * agreement(frame, expected, pair, edge) * frame.span_rad / shared
+        return cls(frame, sighting, landmark_map, expected, pair, edge, residual, variance, odds)
 
     def matches(self) -> Matches:
         """Return the most likely landmark of every edge, whether or not an earlier image showed it too."""
-        count = len(self.measured)
+        count = len(self.frame.edges.bearing)
         matches, seen = Matches.none(count, len(self.landmark_map)), self.expected
         matches.visible[seen.landmark[seen.in_the_open >= _SHOWN]] = True
         # Ascending, so that the last write to an edge is its best landmark.
@@ -151,16 +144,16 @@ class Association:
 
         where σ² has the variance of what particles predict. A landmark is certain from `SETTLED` on.
         """
-        clutter = self.sighting.persistent
+        clutter, (measured, measured_var) = self.sighting.persistent, self.frame.measured
         own = inlier_rate * self.odds / (1.0 if clutter is None else clutter[self.edge])
-        total = np.bincount(self.edge, own, len(self.measured))
+        total = np.bincount(self.edge, own, len(measured))
         certain = np.flatnonzero(own >= SETTLED * (1 - inlier_rate + total[self.edge]))
         pair, edge = self.pair[certain], self.edge[certain]
         return Targets(
             points=self.landmark_map.points[self.expected.landmark[pair]],
-            angle=self.measured[edge],
-            variance=self.measured_var[edge] + self.expected.variance[pair],
-            is_slope=self.angle.kind == "slope",
+            angle=measured[edge],
+            variance=measured_var[edge] + self.expected.variance[pair],
+            is_slope=self.frame.parameters.kind == "slope",
         )
 
     def by_map_scale(self, scales: Array) -> Array:
@@ -177,16 +170,16 @@ class Association:
         """
         from scipy.special import erf
 
-        expected = self.expected
+        expected, (measured, measured_var) = self.expected, self.frame.measured
         order = np.argsort(expected.angle, kind="stable")
         gap = np.diff(expected.angle[order], prepend=-np.inf, append=np.inf)
         window = BESIDE_M * np.abs(expected.per_m)
         window[order] = np.minimum(window[order], np.minimum(gap[:-1], gap[1:]) / 2)
-        apart = self.measured - expected.angle[:, None]
-        pair, edge = np.nonzero((np.abs(apart) < window[:, None]) & np.isfinite(self.measured_var))
+        apart = measured - expected.angle[:, None]
+        pair, edge = np.nonzero((np.abs(apart) < window[:, None]) & np.isfinite(measured_var))
         landmark, index, count = np.unique(pair, return_inverse=True, return_counts=True)
         stated_var = expected.variance[pair] / self.sighting.map_scale**2
-        variance = stated_var * scales[:, None] ** 2 + self.measured_var[edge]
+        variance = stated_var * scales[:, None] ** 2 + measured_var[edge]
         inside = erf(window[pair] / np.sqrt(2.0 * variance))
         ratio = np.zeros((len(landmark), len(scales)))
         np.add.at(ratio, index, (2.0 * window[pair] * normal(apart[pair, edge], variance) / inside / count[index]).T)
@@ -220,7 +213,7 @@ def end_offsets(matches: Matches, pose: Array, edges: Edges, camera: Camera, lan
     _, ahead_m = in_camera(camera.pose_in_map(pose[None]), landmark_map.points[landmark])
     ends_m = np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])
     expected = np.column_stack(image_heights(camera, ahead_m[0], *ends_m.T))
-    measured, cut = endpoints.ends_lower_first(edges.ends_px[edge], camera)
+    measured, cut = ends_lower_first(edges.ends_px[edge], camera)
     _, _, e_low, e_high = camera.upright_bounds
     inside = np.isfinite(ends_m) & (expected > e_low) & (expected < e_high) & ~cut
     depth = ahead_m[0, :, None] * np.cos(mount.tilt_rad) - (ends_m - mount.height_m) * np.sin(mount.tilt_rad)
@@ -244,14 +237,24 @@ def pairs_near(measured: Array, measured_var: Array, expected: Array, expected_v
     return pair, order[first[pair] + within]
 
 
-def agreement(
-    angle: Angle, parameters: ObservationParameters, edges: Edges, expected: Expected, pair: Indices, edge: Indices
-) -> Array:
+def agreement(frame: Frame, expected: Expected, pair: Indices, edge: Indices) -> Array:
     """Return c_el (P,) of pairs: how well ends and polarities agree, and the probability that no wall is before."""
-    margin = parameters.sight.margin_px / angle.camera.focal_px
-    ends = endpoints.endpoints_of(edges, angle.camera)
-    by_ends = endpoints.agreement(ends, edge, expected.ends[pair], expected.known[pair], angle.camera, margin)
-    by_polarity = 1.0 + edges.polarity[edge] * expected.leaning[pair]
+    camera, ends, end, known = frame.camera, frame.ends, expected.ends[pair], expected.known[pair]
+    per_px = 1.0 / camera.focal_px
+    margin = frame.parameters.sight.margin_px / camera.focal_px
+    border = np.array(camera.upright_bounds[2:]) + margin * np.array([-1.0, 1.0])
+    cut = np.clip(end, *border)
+    per_visible = 1.0 / np.maximum(cut[:, 1] - cut[:, 0], 1e-12)
+    in_image = (end > border[0]) & (end < border[1])
+    bottom = np.where(in_image[:, 0], end[:, 0], -np.inf)
+    top = np.where(in_image[:, 1], end[:, 1], np.inf)
+    low, high = ends.e[edge].T
+    inside = np.minimum(top, high) - np.maximum(bottom, low)
+    covered = np.clip((inside + 2 * TOLERANCE_PX * per_px) * ends.per_length[edge], 0.0, 1.0)
+    short = np.minimum(ends.room[edge] * per_visible[:, None], 1.0) * np.where(in_image, ends.missed, 1.0)
+    off = np.where(in_image, ends.e[edge] - end, np.inf) / ends.sigma[edge]
+    at = np.where(known, short + ends.peak[edge] * np.exp(-0.5 * off**2), 1.0)
+    by_ends, by_polarity = covered**2 * at.prod(axis=1), 1.0 + frame.edges.polarity[edge] * expected.leaning[pair]
     return np.asarray(by_ends * by_polarity * expected.in_the_open[pair])
 
 

@@ -2,14 +2,14 @@
 
 Each measured edge is a draw from a mixture. With probability w it belongs to one of the n landmarks that the camera can
 see from the pose, each as likely as the other. Else it is clutter, spread evenly over the field of view, and denser
-where the last image showed the same thing (`persistent_clutter`):
+where the last image showed the same thing (`clutter`):
 
     p(q_e | pose, w) = (1 - w) / span + (w / n) Σ_l c_el N(q_e; q_l(pose), σ_el²)
 
 q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
 observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
-c_el compares where the edge ends with where the landmark does (`endpoint_likelihood`), and their polarities: the rim of
-a picture, high on a wall, is no door jamb.
+c_el compares where the edge ends with where the landmark does (`association`), and their polarities: the rim of a
+picture, high on a wall, is no door jamb.
 
 How many edges are clutter differs from place to place, so w is not a parameter. The likelihood is computed for every
 inlier rate of `inlier_rate`, which learns their distribution and integrates them out.
@@ -20,25 +20,21 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from typing import Any, Self
+from functools import lru_cache
 
 import numpy as np
 
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between, compose
-from localiser.landmarks import LandmarkMap, field_of_view_rad, in_camera
-from localiser.observation import likelihood
-from localiser.observation.angle import Angle
+from localiser.landmarks import LandmarkMap, in_camera
+from localiser.observation import clutter, likelihood
 from localiser.observation.association import Association, expected_from
-from localiser.observation.detection_rate import DETECTION_RATES
-from localiser.observation.inlier_rate import INLIER_RATES, InlierRate
+from localiser.observation.clutter import EarlierFrame
+from localiser.observation.frame import Frame
+from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.likelihood import View
-from localiser.observation.parameters import ObservationParameters
-from localiser.observation.persistent_clutter import clutter_density
-from localiser.observation.scene_clutter import EarlierEdges, scene_clutter
-from localiser.observation.sighting import EarlierImage, Sighting
+from localiser.observation.sighting import EarlierImage, ObservationParameters, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take, thinned
 
 FEW = 64  # particles that tell how wide the cloud is
@@ -55,16 +51,9 @@ class EdgeObservation:
     camera: Camera
     parameters: ObservationParameters
 
-    def at(self, edges: Edges) -> Self:
-        """Return the observation by the camera as it was mounted when it took the image of these edges."""
-        camera = self.camera.at(edges.mount)
-        found: Self = self if camera is self.camera else _mounted(self, camera)
-        return found
-
-    @cached_property
-    def angle(self) -> Angle:
-        """The angle that is compared."""
-        return Angle(self.camera, self.parameters.kind)
+    def frame(self, edges: Edges) -> Frame:
+        """Return the edges of an image as they are compared, by the camera as it was mounted then."""
+        return _frame(self, edges)
 
     def on_processors(self, most: int) -> EdgeObservation:
         """Return the same, which weighs by as many threads as there are processors; results do not depend on it.
@@ -114,18 +103,12 @@ class EdgeObservation:
         blur_rad: float = 0.0,
     ) -> list[Array]:
         """Return log p(edges | particle, rate_k) (K, N) in each view, in little more time than in one."""
-        if len(sighting.edges) == 0:
-            return [np.zeros((len(view.rates), len(particles))) for view in views]
-        yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(len(particles))
-        columns, angle = np.vstack([particles.columns[:3], yaw]), self.at(sighting.edges).angle
-        return likelihood.by_views(angle, self.parameters, columns, sighting, landmark_map, views, blur_rad)
-
-    def camera_poses(self, particles: Particles) -> Array:
-        """Return the floor poses (N, 3) of the particles' cameras in the map, each with its own yaw on the mount."""
-        poses = self.camera.pose_in_map(particles.poses)
-        if CAMERA_YAW in particles.names:
-            poses[:, 2] += particles[CAMERA_YAW]
-        return poses
+        frame, count = self.frame(sighting.edges), particles.columns.shape[1]
+        if not len(frame.edges.bearing):
+            return [np.zeros((len(view.rates), count)) for view in views]
+        yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(count)
+        columns = np.vstack([particles.columns[:3], yaw])
+        return likelihood.by_views(frame, columns, sighting, landmark_map, views, blur_rad)
 
     def warm_up(self) -> None:
         """Compile what compares edges, or load it from the disk, so that no frame has to wait for it."""
@@ -139,40 +122,38 @@ class EdgeObservation:
 
     def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
         """Return how the edges compare with the landmarks that are seen from one robot pose (3,)."""
-        angle = self.at(sighting.edges).angle
-        poses = angle.camera.pose_in_map(pose[None])
-        expected = expected_from(angle, self.parameters, poses, landmark_map, sighting.map_scale)
-        return Association.of(angle, self.parameters, sighting, landmark_map, expected)
+        frame = self.frame(sighting.edges)
+        poses = frame.camera.pose_in_map(pose[None])
+        expected = expected_from(frame, poses, landmark_map, sighting.map_scale)
+        return Association.of(frame, sighting, landmark_map, expected)
 
     def associate_prior(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
         """Return how the edges compare with the landmarks seen from the mean pose of particles.
 
         An angle is then also as uncertain as what those of the particles predict that face the landmark.
         """
-        self = self.at(sighting.edges)  # noqa: PLW0642
-        poses = self.camera.pose_in_map(estimate(particles).pose_as_seen[None])
-        expected = expected_from(self.angle, self.parameters, poses, landmark_map, sighting.map_scale)
-        few = thinned(particles, FEW)
-        right, ahead = in_camera(self.camera_poses(few), landmark_map.points[expected.landmark])
+        frame, few = self.frame(sighting.edges), thinned(particles, FEW)
+        poses = frame.camera.pose_in_map(estimate(particles).pose_as_seen[None])
+        expected = expected_from(frame, poses, landmark_map, sighting.map_scale)
+        right, ahead = in_camera(camera_poses(frame.camera, few), landmark_map.points[expected.landmark])
         faced, weight = ahead > 0, few.weight
-        predicted, _ = self.angle.predicted(right / np.where(faced, ahead, 1.0))
+        predicted, _ = frame.predicted(right / np.where(faced, ahead, 1.0))
         total = np.maximum(weight @ faced, 1e-300)
         mean = weight @ (faced * predicted) / total
         spread_var = weight @ (faced * (predicted - mean) ** 2) / total
-        return Association.of(self.angle, self.parameters, sighting, landmark_map, expected, spread_var)
+        return Association.of(frame, sighting, landmark_map, expected, spread_var)
 
     def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
         """Return two angles (rad), medians over landmarks and edges: the spread of predictions, the measured sigma.
 
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
-        self = self.at(sighting.edges)  # noqa: PLW0642
         few = take(particles, np.linspace(0, len(particles) - 1, FEW).astype(np.int64))
-        poses = self.camera_poses(few)
-        expected = expected_from(self.angle, self.parameters, poses, landmark_map, sighting.map_scale)
+        frame = self.frame(sighting.edges)
+        expected = expected_from(frame, camera_poses(frame.camera, few), landmark_map, sighting.map_scale)
         times = np.bincount(expected.landmark, minlength=len(landmark_map))
         often = times >= FEW / 2
-        variance = self.angle.measured(sighting.edges)[1]
+        variance = frame.measured[1]
         if not often.any() or not np.isfinite(variance).any():
             return 0.0, np.inf
         mean, square = (
@@ -186,33 +167,35 @@ class EdgeObservation:
 
     def persistent_clutter(self, edges: Edges, before: Edges, increment: Increment, turn_var: float) -> Array:
         """Return how dense clutter is at each edge (E,), from the edges of the image before."""
-        now, then = self.at(edges), self.at(before)
-        measured = *now.angle.bearings(edges), *then.angle.bearings(before)
-        motion, span_rad = _camera_motion(then.camera, now.camera, increment), field_of_view_rad(now.camera)
-        return clutter_density(*measured, motion, turn_var, span_rad)
+        frame = self.frame(edges)
+        return clutter.persistent_clutter(frame, self._earlier(frame, before, increment, turn_var))
 
     def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, Array]:
         """Return how dense clutter is at each edge (E,), and how much likelier it is if it continues an earlier one.
 
         earlier: images of the same scene, the one that is believed most first; the others tell of edges that it missed.
-        See `observation.scene_clutter`.
+        See `observation.clutter`.
         """
-        now, images = self.at(sighting.edges), []
-        for one in earlier:
-            edges, then = one.sighting.edges, self.at(one.sighting.edges)
-            images.append(
-                EarlierEdges(edges, _camera_motion(then.camera, now.camera, one.since), one.turn_var, then.camera)
-            )
-        return scene_clutter(now.angle, sighting.edges, images)
+        frame = self.frame(sighting.edges)
+        images = [self._earlier(frame, one.sighting.edges, one.since, one.turn_var) for one in earlier]
+        return clutter.scene_clutter(frame, images)
+
+    def _earlier(self, now: Frame, edges: Edges, since: Increment, turn_var: float) -> EarlierFrame:
+        """Return the frame of an earlier image, and how the camera moved since, with the robot and on it."""
+        frame = self.frame(edges)
+        mount, then = now.camera.robot_from_level, frame.camera.robot_from_level
+        right, back, _ = between(then, compose(since.mean, mount))
+        return EarlierFrame(frame, np.array([right, back, since.mean[2] + (mount[2] - then[2])]), turn_var)
 
 
-@lru_cache(maxsize=16)
-def _mounted(observation: Any, camera: Camera) -> Any:
-    return replace(observation, camera=camera)
+@lru_cache(maxsize=64)  # an image is asked for some forty times, and those of the last scenes with every image
+def _frame(observation: EdgeObservation, edges: Edges) -> Frame:
+    return Frame(edges, observation.camera.at(edges.mount), observation.parameters)
 
 
-def _camera_motion(before: Camera, now: Camera, increment: Increment) -> Array:
-    """Return how the camera moved (3,), in its own frame before, while the robot did, and the camera on the robot."""
-    mount, then = now.robot_from_level, before.robot_from_level
-    right, back, _ = between(then, compose(increment.mean, mount))
-    return np.array([right, back, increment.mean[2] + (mount[2] - then[2])])
+def camera_poses(camera: Camera, particles: Particles) -> Array:
+    """Return the floor poses (N, 3) of the particles' cameras in the map, each with its own yaw on the mount."""
+    poses = camera.pose_in_map(particles.poses)
+    if CAMERA_YAW in particles.names:
+        poses[:, 2] += particles[CAMERA_YAW]
+    return poses

@@ -4,6 +4,12 @@ The rate differs from place to place and from image to image: in an empty corrid
 full bookshelves nearly all are clutter. So every image has its own rate w, drawn from a distribution that was learnt
 from the images before: p(edges | pose) = Σ_k p(w_k) p(edges | pose, w_k). p(w_k) is learnt as the proportions of a
 mixture with a Dirichlet prior.
+
+The belief compares places by the detection rate, how many edges a landmark in view shows on average: what a place
+explains must not depend on how few landmarks are in view from it. Most landmarks of an empty corridor are seen, most of
+a furnished room are hidden, and a door jamb can show as two or three edges. So every image has its own detection rate
+too, learnt in the same way. None is above 1.3: a place that explains the edges only if every landmark shows many of
+them explains nothing.
 """
 
 from __future__ import annotations
@@ -19,6 +25,7 @@ from localiser.geometry import Array
 # Jeffreys' prior of a rate is even in φ = asin √w; the midpoints of K even intervals of φ carry equal weights.
 _NODES = 6
 INLIER_RATES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
+DETECTION_RATES: Array = np.array([0.02, 0.06, 0.15, 0.35, 0.7, 1.3])
 PRIOR_FRAMES = 12.0  # how many frames the prior counts for: a few images alike are no reason to be sure of the next
 _PRIOR = np.full(_NODES, PRIOR_FRAMES / _NODES)
 
@@ -66,6 +73,15 @@ class InlierRate:
         joint = by_rate + np.log(self.probability)[:, None]
         responsibility = np.exp(joint - log_sum_of_rates(joint)) @ weight
         return replace(self, count=self.count + independent_frames * responsibility)
+
+
+class DetectionRate(InlierRate):
+    """The distribution of an image's detection rate. count (K,): how many images had each of `DETECTION_RATES`."""
+
+    @property
+    def mean(self) -> float:
+        """The detection rate expected of the next image."""
+        return float(self.probability @ DETECTION_RATES)
 
 
 def log_sum_of_rates(joint: Array) -> Array:

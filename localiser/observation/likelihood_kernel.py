@@ -247,7 +247,7 @@ def _normal(y: float) -> float:
 def _end(
     measured: Any, room: float, peak: float, block: Array, lanes: int, rows: Any, missed: float, is_unknown: bool
 ) -> None:
-    """Write how much likelier one end of an edge is if it is the landmark's: the equation of `endpoint_likelihood`.
+    """Write how much likelier one end of an edge is if it is the landmark's: the equation of `association`.
 
     An end without a peak, which the image's border made, takes half as long.
     """
@@ -359,6 +359,7 @@ def log_products(
     order: Indices,
     run: Indices,
     offset: tuple[float, float, float],
+    at: tuple[float, float],
     start: Indices,
     item: NDArray[np.int32],
     landmarks: Array,
@@ -387,6 +388,7 @@ def log_products(
     where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it. An
     edge of known identity belongs to that landmark or is clutter: n is 1 for it at inlier rates.
 
+    at: the camera's height (m) and by how much farther landmarks stand from their places than the map says.
     visibility: (S, L) this probability, by S statements. odds: (V, LANES) o_k of ascending rates. views: (V, 3) of each
     view its statement, how many rates it has, and whether they are inlier rates. rare: (V, E) 1 / clutter_e.
     """
@@ -395,6 +397,7 @@ def log_products(
     factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
     result, per_density = np.zeros((len(views), LANES, len(poses))), span / np.sqrt(2 * np.pi)
     log_unseen = np.log1p(odds)  # at inlier rates
+    height_m, map_scale = at
     for c in range(len(run) - 1):
         for n in range(run[c], run[c + 1], BLOCK):
             size = min(BLOCK, run[c + 1] - n)
@@ -402,9 +405,13 @@ def log_products(
             _place(poses, order, n, size, lanes, offset, block)
             _begin(block, density, is_near)
             for k in item[start[c] : start[c + 1]]:
-                at, heights = (landmarks[k, 0], landmarks[k, 1]), (landmarks[k, 2], landmarks[k, 3])
-                landmark = (at[0], at[1], heights[0], heights[1], landmarks[k, 4])
-                hidden, leaning = (heights[0] <= -UNKNOWN_M, heights[1] >= UNKNOWN_M), landmarks[k, 5]
+                bottom, top, sigma_m = (
+                    landmarks[k, 2] - height_m,
+                    landmarks[k, 3] - height_m,
+                    map_scale * landmarks[k, 4],
+                )
+                landmark = (landmarks[k, 0], landmarks[k, 1], bottom, top, sigma_m * sigma_m)
+                hidden, leaning = (bottom <= -UNKNOWN_M, top >= UNKNOWN_M), landmarks[k, 5]
                 _look(block, lanes, landmark, limits, camera, gate, bins, is_slope)
                 _count(block, lanes, visibility, k)
                 begin, end = _edges_near(block, lanes, first)

@@ -33,7 +33,7 @@ from localiser.particles import (
     multinomial_resample,
 )
 from localiser.relocalisation.candidates import Candidates
-from localiser.relocalisation.hypotheses import Feet, are_known, feet_of, from_markers, poses_of
+from localiser.relocalisation.hypotheses import Feet, feet_of, from_markers, poses_of
 from localiser.relocalisation.places import Places, Region
 
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
@@ -81,12 +81,12 @@ class Clues:
     @cached_property
     def feet(self) -> Feet:
         """The longest edges, which poses are proposed from. Few images of a robot that is not lost need it."""
-        return feet_of(self.observation.at(self.sighting.edges).angle, self.sighting.edges.longest(MOST_EDGES))
+        return feet_of(self.observation.frame(self.sighting.edges.longest(MOST_EDGES)))
 
     @cached_property
     def is_blind(self) -> bool:
         """Whether the image shows too little to tell that what it shows is not on the map."""
-        return int(are_known(self.observation.at(self.sighting.edges).angle, self.sighting.edges).sum()) < FEWEST
+        return int(self.observation.frame(self.sighting.edges).is_known.sum()) < FEWEST
 
     def by_rate(self, particles: Particles, blur_rad: float = BLUR_RAD) -> Array:
         """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""

@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, between, compose, forward, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import ENDPOINT_SIGMA_PX, Angle, end_per_height, ends_lower_first, marked_landmarks
+from localiser.observation import ENDPOINT_SIGMA_PX, Frame, end_per_height, ends_lower_first, marked_landmarks
 from localiser.relocalisation.places import BOTTOM_STEP_M, Indices, Places
 from localiser.relocalisation.resection import from_three_bearings, from_two_bearings
 
@@ -51,17 +50,11 @@ class Feet:
         return compose(camera_poses, between(self.camera.robot_from_level, np.zeros(3)))
 
 
-def are_known(angle: Angle, edges: Edges) -> NDArray[np.bool_]:
-    """Return which edges (E,) have a known bearing: `Feet` holds only these."""
-    measured, variance = angle.measured(edges)
-    return np.asarray(np.isfinite(measured) & np.isfinite(variance))
-
-
-def feet_of(angle: Angle, edges: Edges) -> Feet:
-    """Return bearings and feet of `edges`, by their line or by their slope alone."""
-    camera, known, (bearing, _) = angle.camera, np.flatnonzero(are_known(angle, edges)), angle.bearings(edges)
+def feet_of(frame: Frame) -> Feet:
+    """Return bearings and feet of the edges of an image, by their line or by their slope alone."""
+    camera, known, (bearing, _) = frame.camera, np.flatnonzero(frame.is_known), frame.bearings
     order = known[np.argsort(bearing[known], kind="stable")]
-    edges, bearing = edges.take(order), bearing[order]
+    edges, bearing = frame.edges.take(order), bearing[order]
     ends, cut = ends_lower_first(edges.ends_px, camera)
     unknown = np.isnan(ends).any(axis=1)
     mount, ahead = camera.mount, edges.foot_range_m * np.cos(bearing)

@@ -19,7 +19,7 @@ from localiser.filter import Event, FilterState, Located, Mcl, MclParameters, Od
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters, linearised
-from localiser.observation import Angle, EdgeObservation, InlierRate, ObservationParameters, likelihood
+from localiser.observation import EdgeObservation, Frame, InlierRate, ObservationParameters, likelihood
 from localiser.particles import POSE, Particles
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, back_m=-0.1))
@@ -263,9 +263,9 @@ def test_the_first_image_alone_is_shared_among_processors_and_gives_the_same_byt
     found, used = [], []
     weigh = likelihood.by_views
 
-    def watched(angle: Angle, parameters: ObservationParameters, *rest: object) -> list[Array]:
-        used.append(parameters.threads)
-        return weigh(angle, parameters, *rest)  # type: ignore[arg-type]
+    def watched(frame: Frame, *rest: object) -> list[Array]:
+        used.append(frame.parameters.threads)
+        return weigh(frame, *rest)  # type: ignore[arg-type]
 
     monkeypatch.setattr(likelihood, "by_views", watched)
     for processors in (1, 2):

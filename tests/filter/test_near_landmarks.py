@@ -12,7 +12,7 @@ from board.worlds import hours_of
 from localiser import Localiser, read_config
 from localiser.filter.belief import Belief
 from localiser.observation import Matches, NearLandmarks, Sighting
-from localiser.observation.near_landmarks import MEMORY_SCENES
+from localiser.observation.place_landmarks import MEMORY_SCENES
 from localiser.particles import POSE, Particles
 from localiser.relocalisation import Candidates
 

@@ -7,14 +7,15 @@ import pytest
 from simulated_edges import simulated_edges
 
 from localiser.camera import Camera, Mount
+from localiser.edges import Edges
 from localiser.filter import optimal_proposal
 from localiser.filter.optimal_proposal import OptimalProposal, flattened, step_density
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
 from localiser.motion import MotionParameters, predict
 from localiser.observation import (
-    Angle,
     EdgeObservation,
+    Frame,
     ObservationParameters,
     Sighting,
     Targets,
@@ -45,7 +46,7 @@ def edges_at(pose, seed=1):
 def expected_angles(poses, kind):
     """Return what `step_density` linearises, (N, K), by the plain functions."""
     right, ahead = in_camera(CAMERA.pose_in_map(np.column_stack(poses)), POINTS)
-    return Angle(CAMERA, kind).predicted(right / ahead)[0]
+    return Frame(Edges.none(), CAMERA, ObservationParameters(kind=kind)).predicted(right / ahead)[0]
 
 
 @pytest.mark.parametrize("off_rad", [[0.01, 0.01, 0.01], [0.7, -1.2, 2.4]])

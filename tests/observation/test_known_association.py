@@ -50,7 +50,7 @@ def test_density_is_that_of_the_named_landmark_or_clutter(kind: str) -> None:
     s = np.sin(CAMERA.mount.tilt_rad)
     measured = edges.bearing if kind == "line" else edges.lean
     sigma = edges.bearing_sigma if kind == "line" else edges.lean_sigma
-    span = observation(kind).angle.span_rad
+    span = observation(kind).frame(edges).span_rad
     for column, pose in enumerate((truth, other)):
         bearing = bearings(pose, POINTS[[0, 3]])
         distance = np.hypot(*(POINTS[[0, 3]] - CAMERA.pose_in_map(pose)[:2]).T)

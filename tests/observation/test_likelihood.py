@@ -15,7 +15,8 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, sight
 from localiser.observation import DETECTION_RATES, INLIER_RATES, EdgeObservation, ObservationParameters, Sighting, View
-from localiser.observation.likelihood import bins_of
+from localiser.observation.edge_observation import camera_poses
+from localiser.observation.frame import bins_of
 from localiser.particles import POSE, Particles
 
 FOCAL = 554.0
@@ -214,7 +215,7 @@ def test_detection_rates_are_a_poisson_process(kind: str) -> None:
     rng = np.random.default_rng(7)
     observation = EdgeObservation(camera(20.0), ObservationParameters(kind=kind))  # type: ignore[arg-type]
     landmark_map, particles = some_map(rng, 40), cloud(rng, 200)
-    mount_sees = observation.camera_poses(particles)
+    mount_sees = camera_poses(observation.camera, particles)
     limits = observation.parameters.sight
     views = sight(observation.camera, mount_sees, landmark_map, limits.far)
     seen = np.bincount(views.pose, limits.in_the_open(views.range_m), minlength=200)

@@ -7,7 +7,7 @@ import pytest
 
 from localiser.geometry import Array
 from localiser.observation import Matches, NearLandmarks
-from localiser.observation.near_landmarks import ANOTHER, BY_CHANCE, FEWEST, MATCHED, MEMORY_SCENES, near_landmarks
+from localiser.observation.place_landmarks import ANOTHER, BY_CHANCE, FEWEST, MATCHED, MEMORY_SCENES, near_landmarks
 
 HERE = np.zeros(3)  # looks along -z
 

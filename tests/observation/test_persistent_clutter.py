@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from passed_points import SIGMA as POINT_SIGMA
 from passed_points import TURN_SIGMA, PassedPoints
 
@@ -17,33 +18,38 @@ from localiser.edges import Edges
 from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map
 from localiser.landmarks import LandmarkMap, SightParameters, field_of_view_rad
-from localiser.observation import Association, EdgeObservation, ObservationParameters, Sighting
-from localiser.observation.persistent_clutter import NEAR_M, clutter_density
+from localiser.observation import Association, EdgeObservation, Frame, ObservationParameters, Sighting
+from localiser.observation.clutter import NEAR_M, EarlierFrame, persistent_clutter
 from localiser.particles import POSE, Particles
 
-SPAN = 1.1
+CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(15.0), 1.0))
+SPAN = field_of_view_rad(CAMERA)
 
 
-def moved(right: float, back: float, turn: float) -> Array:
-    return np.array([right, back, turn])
+def clutter_density(
+    now: ArrayLike, sigma: float, before: ArrayLike, motion: ArrayLike = (0, 0, 0), turn_var: float = 0.0
+) -> Array:
+    """Return the density at bearings, after an image with bearings `before`, all with one sigma."""
+    after, earlier = (
+        Frame(Edges.from_columns(*np.broadcast_arrays(np.array(one, dtype=float), sigma, np.nan, sigma)), CAMERA)
+        for one in (now, before)
+    )
+    return persistent_clutter(after, EarlierFrame(earlier, np.array(motion, dtype=float), turn_var))
 
 
 def test_nothing_is_known_without_a_last_image() -> None:
-    one, none = np.array([0.1]), np.zeros(0)
-    assert clutter_density(one, one, none, none, moved(0, 0, 0), 0.0, SPAN).tolist() == [1.0]
-    assert clutter_density(none, none, one, one, moved(0, 0, 0), 0.0, SPAN).tolist() == []
+    assert clutter_density([0.1], 0.1, []).tolist() == [1.0]
+    assert clutter_density([], 0.1, [0.1]).tolist() == []
 
 
 def test_what_stands_where_it_was_is_as_dense_as_the_sigmas_say() -> None:
-    bearing, sigma = np.array([0.2, -0.3]), np.full(2, 0.01)
-    found = clutter_density(bearing + 0.05, sigma, bearing, sigma, moved(0, 0, 0.05), 0.0, SPAN)
+    bearing = np.array([0.2, -0.3])
+    found = clutter_density(bearing + 0.05, 0.01, bearing, (0, 0, 0.05))
     np.testing.assert_allclose(found, SPAN / np.sqrt(2 * np.pi * 2e-4))
 
 
 def test_of_two_that_may_continue_one_nothing_is_known() -> None:
-    sigma = np.full(2, 0.01)
-    found = clutter_density(np.array([0.2, 0.205]), sigma, np.array([0.2]), sigma[:1], moved(0, 0, 0), 0.0, SPAN)
-    assert found.tolist() == [1.0, 1.0]
+    assert clutter_density([0.2, 0.205], 0.01, [0.2]).tolist() == [1.0, 1.0]
 
 
 @settings(max_examples=50)
@@ -57,12 +63,8 @@ def test_of_two_that_may_continue_one_nothing_is_known() -> None:
 def test_clutter_is_never_rarer_than_anywhere(
     now: list[float], before: list[float], right: float, back: float, turn: float
 ) -> None:
-    first, second = np.array(now, dtype=float), np.array(before, dtype=float)
-    sigma = np.full(8, 0.02)
-    found = clutter_density(
-        first, sigma[: len(first)], second, sigma[: len(second)], moved(right, back, turn), 1e-4, SPAN
-    )
-    assert found.shape == first.shape
+    found = clutter_density(now, 0.02, before, (right, back, turn), 1e-4)
+    assert found.shape == (len(now),)
     assert (found >= 1.0).all()
     assert (found <= SPAN / np.sqrt(2 * np.pi * 8e-4) + 1e-9).all()
 
@@ -70,17 +72,16 @@ def test_clutter_is_never_rarer_than_anywhere(
 @pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.02, -0.2, 0.2), (0.0, 0.1, -0.3)])
 def test_the_density_is_that_of_points_at_unknown_distances(step: tuple[float, float, float]) -> None:
     """Points at an even 1/r, seen before and after a step: the density is as good as their histogram, to 0.1 nats."""
-    points, each = PassedPoints.by(step, NEAR_M), np.full(1, POINT_SIGMA)
+    points = PassedPoints.by(step, NEAR_M)
     log_density = np.log(
         [
-            clutter_density(second[None], each, first[None], each, moved(*step), TURN_SIGMA**2, SPAN)[0]
+            clutter_density([second], POINT_SIGMA, [first], step, TURN_SIGMA**2)[0]
             for first, second in zip(points.first[:2000], points.second[:2000], strict=True)
         ]
     )
     assert log_density.mean() > points.best(SPAN) - 0.1
 
 
-CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(15.0), 1.0))
 SIGMA = np.radians(1.0)
 
 

@@ -13,13 +13,11 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import half_view_rad
-from localiser.observation import Angle
-from localiser.observation.persistent_clutter import NEAR_M
-from localiser.observation.scene_clutter import NEW, SEEN_AGAIN, STILL_THERE, EarlierEdges, scene_clutter
+from localiser.observation import Frame, ObservationParameters
+from localiser.observation.clutter import NEAR_M, NEW, SEEN_AGAIN, STILL_THERE, EarlierFrame, scene_clutter
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(15.0), 1.0))
-ANGLE = Angle(CAMERA, "line")
-SPAN = ANGLE.span_rad
+SPAN = Frame(Edges.none(), CAMERA).span_rad
 
 
 def edges_at(bearings: ArrayLike, sigma: float, ends_px: Array | None = None) -> Edges:
@@ -96,23 +94,23 @@ def test_a_lone_edge_is_expected_once() -> None:
 def test_by_slope_the_density_is_that_of_leans(tilt_deg: float, earlier: float | None) -> None:
     """Evenly spread clutter is even in the compared angle, which for `slope` is the lean."""
     tilt = np.radians(tilt_deg)
-    angle = Angle(Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(tilt, 1.0)), "slope")
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(tilt, 1.0))
 
-    def at(leans: ArrayLike) -> Edges:
+    def at(leans: ArrayLike) -> Frame:
         lean = np.array(leans, dtype=float)
         bearing, sigma = np.arctan(np.tan(lean) / np.sin(tilt)), np.full(len(lean), 0.005)
-        return Edges.from_columns(bearing, sigma, lean, sigma)
+        return Frame(Edges.from_columns(bearing, sigma, lean, sigma), camera, ObservationParameters(kind="slope"))
 
     grid, step = np.linspace(-1.2, 1.2, 481, retstep=True)
     if earlier is not None:
         before = at([earlier])
-        images = [EarlierEdges(before, np.zeros(3), 0.0)]
-        found = np.array([scene_clutter(angle, at([lean]), images)[0][0] for lean in grid])
-        of_earlier = seen_again(found, angle.camera, before.bearing, (0.0, 0.0, 0.0))
-        assert float(of_earlier.sum() * step / angle.span_rad) == pytest.approx(SEEN_AGAIN, rel=0.01)
+        images = [EarlierFrame(before, np.zeros(3), 0.0)]
+        found = np.array([scene_clutter(at([lean]), images)[0][0] for lean in grid])
+        of_earlier = seen_again(found, camera, before.edges.bearing, (0.0, 0.0, 0.0))
+        assert float(of_earlier.sum() * step / before.span_rad) == pytest.approx(SEEN_AGAIN, rel=0.01)
     else:  # of two edges, each is as dense as the other's group predicts, beside an even part
-        found = np.array([scene_clutter(angle, at([lean, 0.1]), [])[0][0] for lean in grid]) - 0.5
-        assert float(found.sum() * step / angle.span_rad) == pytest.approx(0.5, rel=0.02)
+        found = np.array([scene_clutter(at([lean, 0.1]), [])[0][0] for lean in grid]) - 0.5
+        assert float(found.sum() * step / at([0.1]).span_rad) == pytest.approx(0.5, rel=0.02)
 
 
 @pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.02, -0.2, 0.2), (0.0, 0.1, -0.3)])
@@ -135,19 +133,19 @@ def spines(bottoms: ArrayLike, tops: ArrayLike, bearings: ArrayLike) -> Edges:
 
 
 def scene(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0), turn_var: float = 0.0) -> Array:
-    earlier = [] if before is None else [EarlierEdges(before, np.array(motion, dtype=float), turn_var)]
-    return scene_clutter(ANGLE, now, earlier)[0]
+    earlier = [] if before is None else [EarlierFrame(Frame(before, CAMERA), np.array(motion, dtype=float), turn_var)]
+    return scene_clutter(Frame(now, CAMERA), earlier)[0]
 
 
 def test_an_edge_that_one_image_missed_is_expected_from_an_older_one() -> None:
     row, still = np.linspace(-0.45, -0.1, 9), (np.zeros(3), 0.0)
-    whole, without = edges_at([*row, 0.4], 0.001), edges_at(row, 0.001)
-    older, last = EarlierEdges(whole, *still), EarlierEdges(without, *still)
-    missed, continuing = scene_clutter(ANGLE, whole, [last, older])
-    seen, _ = scene_clutter(ANGLE, whole, [older])
+    whole, without = (Frame(edges_at(at, 0.001), CAMERA) for at in ([*row, 0.4], row))
+    older, last = EarlierFrame(whole, *still), EarlierFrame(without, *still)
+    missed, continuing = scene_clutter(whole, [last, older])
+    seen, _ = scene_clutter(whole, [older])
     assert (continuing > 3.0).all()
     assert missed[-1] == pytest.approx(STILL_THERE * seen[-1], rel=0.02)
-    np.testing.assert_allclose(missed[:-1], scene_clutter(ANGLE, whole, [last])[0][:-1], rtol=0.05)
+    np.testing.assert_allclose(missed[:-1], scene_clutter(whole, [last])[0][:-1], rtol=0.05)
 
 
 def test_the_scene_expects_an_edge_to_end_where_it_ended() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from localiser.observation import Matches, Visibility
-from localiser.observation.visibility import BY_CHANCE, CHANGES, FOUND, USUAL
+from localiser.observation.place_landmarks import CHANGES, FOUND, FOUND_HIDDEN, USUAL
 
 
 def matches(landmark: list[int], visible: list[bool]) -> Matches:
@@ -19,8 +19,8 @@ def test_nothing_is_known_at_first() -> None:
 
 def test_an_image_is_evidence_by_the_rule_of_bayes() -> None:
     known = Visibility().after(matches([2, -1, 2], [True, False, True]), 1.0)
-    missed = (1 - FOUND) * USUAL / ((1 - FOUND) * USUAL + (1 - BY_CHANCE) * (1 - USUAL))
-    matched = FOUND * USUAL / (FOUND * USUAL + BY_CHANCE * (1 - USUAL))
+    missed = (1 - FOUND) * USUAL / ((1 - FOUND) * USUAL + (1 - FOUND_HIDDEN) * (1 - USUAL))
+    matched = FOUND * USUAL / (FOUND * USUAL + FOUND_HIDDEN * (1 - USUAL))
     np.testing.assert_allclose(known.of_all(3), [missed, USUAL, matched])
 
 
@@ -48,7 +48,7 @@ def test_what_is_missed_by_chance_is_still_visible(is_hidden: bool) -> None:
     rng, known = np.random.default_rng(3), Visibility()
     wrong = 0
     for _ in range(200):
-        is_matched = rng.random() < (BY_CHANCE if is_hidden else FOUND)
+        is_matched = rng.random() < (FOUND_HIDDEN if is_hidden else FOUND)
         known = known.after(matches([0] if is_matched else [], [True]), 1.0)
         wrong += (known.of_all(1)[0] > 0.5) == is_hidden
     assert wrong < 40

@@ -13,7 +13,7 @@ from scipy.stats import poisson
 
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap, SightParameters
-from localiser.observation import Angle
+from localiser.observation import Frame
 from localiser.relocalisation import Places, Region, feet_of, hypotheses, places
 
 
@@ -35,7 +35,7 @@ def table_of(landmark_map: LandmarkMap, farthest_m: float):
 
 
 def seen_by(camera, edges):
-    return feet_of(Angle(camera, "line"), edges)
+    return feet_of(Frame(edges, camera))
 
 
 @pytest.mark.parametrize("landmark_map", [room(200), on_a_grid()], ids=["room", "grid"])

@@ -10,7 +10,7 @@ from proposal_room import CAMERA, drawn_frames, room
 from localiser.edges import Edges
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import Angle, EdgeObservation, ObservationParameters, Sighting
+from localiser.observation import EdgeObservation, Frame, ObservationParameters, Sighting
 from localiser.particles import POSE, Particles, log_sum
 from localiser.relocalisation import GlobalLocalisation, feet_of
 from localiser.relocalisation.global_localisation import evenly_around
@@ -110,12 +110,12 @@ def test_the_same_seed_proposes_the_same():
 def test_a_floor_range_says_the_same_as_the_end_that_it_was_measured_from():
     """Edges of something that reports the range of their feet and no ends."""
     _, frames = drawn_frames(ROOM, 60, seed=5)
-    edges, angle = next(edges for edges in frames if len(edges) >= 12), Angle(CAMERA, "line")
-    view = feet_of(angle, edges)
+    edges = next(edges for edges in frames if len(edges) >= 12)
+    view = feet_of(Frame(edges, CAMERA))
     foot_px = np.take_along_axis(edges.ends_px, edges.ends_px[..., 1].argmax(axis=1)[:, None, None], axis=1)[:, 0]
     range_m = np.linalg.norm(floor_points(CAMERA, foot_px), axis=-1)
     bare = Edges.from_columns(edges.bearing, edges.bearing_sigma, edges.lean, edges.lean_sigma, foot_range_m=range_m)
-    foot = feet_of(angle, bare).foot
+    foot = feet_of(Frame(bare, CAMERA)).foot
     seen = np.isfinite(foot) & np.isfinite(view.foot)
     assert seen.sum() >= 8
     # The end itself errs across the edge, not along the bearing, by half a pixel.

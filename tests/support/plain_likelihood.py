@@ -6,6 +6,7 @@ from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.observation import INLIER_RATES, EdgeObservation, Sighting
 from localiser.observation.association import agreement, expected_from, normal, pairs_near
+from localiser.observation.edge_observation import camera_poses
 from localiser.particles import Particles
 
 
@@ -20,19 +21,17 @@ def by_rate_plain(
     count, edges = len(particles), sighting.edges
     if len(edges) == 0:
         return np.zeros((len(INLIER_RATES), count))
-    observation = observation.at(edges)
-    angle, parameters = observation.angle, observation.parameters
-    poses = observation.camera_poses(particles)
-    expected = expected_from(angle, parameters, poses, landmark_map, sighting.map_scale)
-    measured, measured_var = angle.measured(edges)
+    frame = observation.frame(edges)
+    expected = expected_from(frame, camera_poses(frame.camera, particles), landmark_map, sighting.map_scale)
+    measured, measured_var = frame.measured
     measured_var = measured_var + blur_rad**2
     pair, edge = pairs_near(measured, measured_var, expected.angle, expected.variance)
     density = normal(measured[edge] - expected.angle[pair], expected.variance[pair] + measured_var[edge])
-    density *= agreement(angle, parameters, edges, expected, pair, edge)
+    density *= agreement(frame, expected, pair, edge)
     if sighting.persistent is not None:
         density /= sighting.persistent[edge]
     total = np.bincount(expected.pose[pair] * len(edges) + edge, density, minlength=count * len(edges))
     # A particle that sees no landmark can explain no edge: its densities are zero, all edges are clutter.
     visible = np.maximum(np.bincount(expected.pose, expected.in_the_open, minlength=count), 1)
-    ratio = total.reshape(count, len(edges)) * (angle.span_rad / visible)[:, None]
+    ratio = total.reshape(count, len(edges)) * (frame.span_rad / visible)[:, None]
     return np.stack([np.log1p(rate * (ratio - 1.0)).sum(axis=1) for rate in INLIER_RATES])

@@ -1,0 +1,209 @@
+"""Clutter: what is on no map is expected where earlier images showed it, and beside its like.
+
+A mixture with uniform clutter treats every image of the same thing as new evidence. Something that is not on the map,
+and is seen a hundred times near the expected place of a landmark, would then be taken for that landmark with certainty.
+But an edge that continues an edge of an earlier image has a known place, also when it is clutter. Its bearing is then
+that of the earlier image, turned with the robot and shifted by the parallax of an unknown distance r, with 1/r uniform
+between 0 and 1/near:
+
+    b' = b + turn - across / r,   across = m_right cos b + m_back sin b.
+
+The bearing of a landmark must be likelier than this density, and not than a uniform one over the width of the image.
+How an edge moves while the robot passes still identifies the landmark. Seeing it once more does not.
+
+**Persistent clutter**, which particles of one place are weighed by, is expected where the last image showed it.
+
+**Scene clutter**, which the belief compares places by, is a Poisson process with the intensity
+
+    λ(e) = s Σ_j K(e; j) + m Λ(e)
+
+j: the edges of the earlier image, of which a fraction s is seen again, and those of still earlier ones that it missed.
+K: edge j at the bearing b' above, and ending where j ended, shifted by the same parallax, as in `association`. m
+is the expected number of new edges. They stand in groups, as books on a shelf: Λ is a Dirichlet process of
+concentration 1 whose other draws are the other edges of the image, 3° wide and with ends in the same rows.
+
+There may always be a new edge, so m is at least 1. In an image of one or two edges this alone would expect nearly one
+more than there are, and every place would lose by it. So λ is scaled to the integral that it has without this least m.
+
+All hypotheses about where the robot is share this intensity. A place must predict the edges better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser.geometry import Array, between, compose, wrap_angle
+from localiser.geometry.compiled import compiled
+from localiser.landmarks import field_of_view_rad, half_view_rad
+from localiser.observation.frame import ROW_PX, SIGMA_PX, Frame
+
+NEAR_M = 1.0  # things on no map are farther away
+SEEN_AGAIN = 0.8  # how often an edge of the earlier image is seen again
+NEW = 0.3  # how many of the edges may be new, at least
+GROUP_RAD = np.radians(3.0)  # how far apart the edges of one group are
+STILL_THERE = 0.5  # how often an edge that later images do not show is there still
+SHORT = 0.3  # how often an end is not where the same edge ended before
+_GATE = 3.0  # sigmas within which an edge may continue another
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EarlierFrame:
+    """The frame of an earlier image.
+
+    motion: (3,) of the camera since, in its own frame then (m, m, rad). turn_var: variance of its turn (rad²).
+    """
+
+    frame: Frame
+    motion: Array
+    turn_var: float
+
+
+# -- persistent clutter -----------------------------------------------------------------------------------------------
+
+
+def persistent_clutter(now: Frame, image: EarlierFrame) -> Array:
+    """Return how much denser clutter is at each edge (E,) than spread over the image, at least 1.
+
+    Denser only where just one edge of the last image may be continued, and by one edge: else nothing is known of where
+    a single one would be.
+    """
+    (bearing, sigma), (before, before_sigma) = now.bearings, image.frame.bearings
+    density = np.ones(len(bearing))
+    if not len(bearing) or not len(before):
+        return density
+    right, back, turn = image.motion
+    across = right * np.cos(before) + back * np.sin(before)
+    variance = before_sigma**2 + image.turn_var + (across / NEAR_M) ** 2 / 12 + sigma[:, None] ** 2
+    square = wrap_angle(bearing[:, None] - (before + turn - across / (2 * NEAR_M))) ** 2 / variance
+    may = square < _GATE**2
+    one = may & (may.sum(axis=0) == 1) & (may.sum(axis=1) == 1)[:, None]
+    edge, of = np.nonzero(one)
+    peak = np.exp(-0.5 * square[edge, of]) / np.sqrt(2 * np.pi * variance[edge, of])
+    density[edge] = np.maximum(field_of_view_rad(now.camera) * peak, 1.0)
+    return density
+
+
+# -- scene clutter ----------------------------------------------------------------------------------------------------
+
+
+def scene_clutter(now: Frame, earlier: Sequence[EarlierFrame]) -> tuple[Array, Array]:
+    """Return how dense clutter is at each edge (E,), and how much likelier it is if it continues an earlier one (E,).
+
+    The density is relative to E edges spread evenly over the field of view, with ends as `association` has them. The
+    ratio is that to a new edge, 1 where there is nothing to continue. earlier: images of the same scene, the one that
+    is believed most first. The others tell of edges that it missed.
+    """
+    count, half_view = len(now.clutter), half_view_rad(now.camera)
+    if not count:
+        return np.ones(0), np.ones(0)
+    grouped, images = grouped_density(now), [one for one in earlier if len(one.frame.clutter)]
+    if not images:
+        return grouped, np.ones(count)
+    again, expected = np.zeros(count), 0.0
+    for index, image in enumerate(images):
+        shown = _missed_by(image, images[:index])
+        again += SEEN_AGAIN * continued_density(now, image) @ shown
+        # Edges that the camera still sees, if they moved by half of the largest parallax.
+        bearing, _, cos, sin = image.frame.clutter[:, :4].T
+        across = (image.motion[0] * cos + image.motion[1] * sin) / NEAR_M
+        stays = np.abs(wrap_angle(bearing + image.motion[2] - across / 2)) <= half_view
+        expected += SEEN_AGAIN * float(shown @ stays)
+    new = max(count - expected, NEW * count)
+    spread = max(new, 1.0)  # an image with one edge may show another one next time
+    density = (again + spread * grouped) * (expected + new) / (expected + spread)
+    return density / count, again / max(expected, 1e-9) / grouped
+
+
+def _missed_by(image: EarlierFrame, others: Sequence[EarlierFrame]) -> Array:
+    """Return how probably each edge (B,) of an image is there still and none of the others shows it; 1 without others.
+
+    An edge that another image shows is expected from there. One that none shows was missed, or is out of view.
+    """
+    missed = np.full(len(image.frame.clutter), STILL_THERE if others else 1.0)
+    for other in others:
+        since = compose(image.motion, between(other.motion, np.zeros(3)))
+        before = EarlierFrame(image.frame, since, max(image.turn_var - other.turn_var, 0.0))
+        missed *= 1.0 / (1.0 + SEEN_AGAIN * continued_density(other.frame, before).sum(axis=0))
+    return missed
+
+
+def continued_density(now: Frame, image: EarlierFrame) -> Array:
+    """Return K (E, B), relative to an even density."""
+    end_sigma_px = SIGMA_PX if now.has_ends and image.frame.has_ends else np.inf
+    return _density(now, now.clutter, image.frame.clutter, image, end_sigma_px)
+
+
+def grouped_density(now: Frame) -> Array:
+    """Return Λ (E,), relative to an even density."""
+    others, edges = now.clutter.copy(), now.clutter.copy()
+    others[:, _VAR], edges[:, _VAR] = 0.0, np.nan_to_num(edges[:, _VAR])
+    still = EarlierFrame(now, np.zeros(3), GROUP_RAD**2)
+    density = _density(now, edges, others, still, ROW_PX if now.has_ends else np.inf)
+    np.fill_diagonal(density, 0.0)
+    return np.asarray((1.0 + density.sum(axis=1)) / len(edges))
+
+
+def _density(now: Frame, edges: Array, before: Array, image: EarlierFrame, end_sigma_px: float) -> Array:
+    """Return how dense edges (E, 14) are that continue those of an image (B, 14).
+
+    end_sigma_px: of where an edge ends; infinite where nothing is known of it.
+    """
+    mount = now.camera.mount
+    rise = (image.frame.camera.mount.height_m - mount.height_m) / NEAR_M
+    attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), rise])
+    end_var = (end_sigma_px / now.camera.focal_px) ** 2
+    return compiled(continued_loop)(edges, before, image.motion, image.turn_var, attitude, end_var, NEAR_M, SHORT)
+
+
+# -- the loop, for numba to compile -----------------------------------------------------------------------------------
+
+# Columns of `Frame.clutter`; of `_E` to `_CUT` there are two each, for the lower and the upper end.
+_BEARING, _VAR, _COS, _SIN, _SPAN, _E, _SLOPE, _ROOM, _CUT, _PER_LENGTH = 0, 1, 2, 3, 4, 5, 7, 9, 11, 13
+
+
+def continued_loop(
+    now: Array, then: Array, motion: Array, turn_var: float, mount: Array, end_var: float, near_m: float, short: float
+) -> NDArray[np.float64]:
+    """Return K (E, B), how dense edges (E, 14) are that continue earlier ones (B, 14), relative to an even density.
+
+    motion: (3,) of the camera since, in its own frame then; turn_var: variance of its turn. mount: (3,) sine and cosine
+    of the camera's tilt now, and by how much it was higher before, over `near_m`. end_var: variance of an end's height;
+    infinite where nothing is known of ends. near_m: things are farther away. short: how often an end is not where the
+    same edge ended before. A density is 0 where something is not known.
+
+    The camera comes nearer to an edge by `approach` of the nearest distance. An end at upright height e of a thing at
+    distance D has the slope t = (e c - s) / (c + e s), which grows by t · approach / D. A camera that was mounted
+    higher by h sees it lower by h / D.
+    """
+    result = np.zeros((len(now), len(then)))
+    right, back, turn = motion[0], motion[1], motion[2]
+    s, c, rise = mount[0], mount[1], mount[2]
+    for j in range(len(then)):
+        across = (right * then[j, _COS] + back * then[j, _SIN]) / near_m
+        approach = (right * then[j, _SIN] - back * then[j, _COS]) / near_m
+        expected, variance = then[j, _BEARING] + turn - across / 2, then[j, _VAR] + turn_var + across * across / 12
+        for i in range(len(now)):
+            error = now[i, _BEARING] - expected
+            error -= 2 * np.pi * np.floor((error + np.pi) / (2 * np.pi))
+            spread = variance + now[i, _VAR]
+            density = np.exp(-0.5 * error * error / spread) / np.sqrt(2 * np.pi * spread) * now[i, _SPAN]
+            if density == 0.0 or not np.isfinite(density):
+                continue
+            if np.isfinite(end_var):
+                for end in range(2):
+                    slope, room = then[j, _SLOPE + end], now[i, _ROOM + end]
+                    shift = (slope * approach + rise) / (c - slope * s) ** 2
+                    off = now[i, _E + end] - (slope * c + s) / (c - slope * s) - shift / 2
+                    spread = shift * shift / 12 + end_var
+                    at = np.exp(-0.5 * off * off / spread) / np.sqrt(2 * np.pi * spread)
+                    at = at if np.isfinite(at) else 0.0
+                    alike = short * min(room * then[j, _PER_LENGTH], 1.0) + (1.0 - short) * room * at
+                    if now[i, _CUT + end] > 0:  # the border ends an edge wherever the thing itself does
+                        alike = 1.0 if then[j, _CUT + end] > 0 else short
+                    density *= alike
+            result[i, j] = density
+    return result

@@ -1,0 +1,268 @@
+"""The frame: the edges of one image as they are compared with landmarks and with other edges, worked out once.
+
+Edges are compared by an angle. `line` compares bearings; `slope` compares leans, as the founding paper does, whose
+tangent is that of the bearing times the sine of the tilt [Taylor06, eq. 7]. Leans are never divided by that sine, so
+nothing is infinite straight ahead.
+
+They are compared by their ends too, and clutter ends somewhere as well. It often stands side by side: bricks, books,
+bars of a railing. Where other edges end, one more end is likely. So the density 1 / R_e of clutter's ends is that of a
+Dirichlet process with concentration 1 whose other draws are the ends of the other edges: R_e is large where an end
+stands alone and small where other edges of the image end.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localiser import geometry
+from localiser.camera import Camera
+from localiser.edges import Edges
+from localiser.geometry import Array
+from localiser.landmarks import LandmarkMap, kept_with, widest_tangent
+from localiser.markers import code_of
+from localiser.observation.sighting import ObservationParameters
+
+Indices = NDArray[np.int64]
+EdgeBins = tuple[Indices, tuple[float, float, float]]
+
+SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
+TOLERANCE_PX = 6.0  # how far an edge may stick out
+MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
+ROW_PX = 10.0  # how far from each other the ends of such clutter are
+UNKNOWN = 1e9  # beyond every height
+_BINS = 512  # of the compared angle
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Endpoints:
+    """Where the edges of a frame end, lower and upper end each: (E, 2) in the order of the columns.
+
+    e: upright heights in the image. sigma: of an end that is its landmark's, in e. per_length: (E,) 1 / length in e,
+    1e9 where unknown. room: the height over which clutter ends, were it everywhere as dense as here. peak: what an edge
+    that reaches where its landmark ends has there beside clutter. missed: how often an edge ends before its landmark
+    does; 1 where nothing is known of ends.
+    """
+
+    e: Array
+    sigma: Array
+    per_length: Array
+    room: Array
+    peak: Array
+    missed: float
+
+    @property
+    def cut(self) -> NDArray[np.bool_]:
+        """Whether (E, 2) the image's border ends an edge there."""
+        return self.room >= UNKNOWN
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeTable:
+    """The edges of one image as the loop over landmarks takes them, by their compared angle.
+
+    rows: (E, 13) compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the
+    lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and
+    1 / sigma, polarity, landmark whose edge it is said to be, -1 for any. order: (E,) which edge a row is. bins: of
+    their angles, see `bins_of`. largest_var: of the known ones.
+    """
+
+    rows: Array
+    order: Indices
+    bins: EdgeBins
+    largest_var: float
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The edges (E) of one image, and the camera as it was mounted then. All angles in rad."""
+
+    edges: Edges
+    camera: Camera
+    parameters: ObservationParameters = field(default_factory=ObservationParameters)
+
+    # -- the compared angle -------------------------------------------------------------------------------------------
+
+    @cached_property
+    def measured(self) -> tuple[Array, Array]:
+        """The measured angle (E,) and its variance (E,), the mount's common error included.
+
+        The common error is shared by all edges of a frame; here it widens each of them: safe while it is small.
+        """
+        edges, common = self.edges, self.edges.common
+        by_mount = common.bearing_from_line if self.parameters.kind == "line" else common.bearing_from_lean
+        mount_var = np.einsum("ek,kl,el->e", by_mount, common.cov, by_mount)
+        if self.parameters.kind == "line":
+            return edges.bearing, edges.bearing_sigma**2 + mount_var
+        tilt_rad = self.camera.mount.tilt_rad
+        per_bearing = 1.0 / geometry.bearing_per_lean(geometry.bearing_from_lean(edges.lean, tilt_rad), tilt_rad)
+        return edges.lean, edges.lean_sigma**2 + mount_var * per_bearing**2
+
+    @cached_property
+    def is_known(self) -> NDArray[np.bool_]:
+        """Whether (E,) the angle of an edge was measured: an observation of bearings knows nothing of a lean."""
+        measured, variance = self.measured
+        return np.isfinite(measured) & np.isfinite(variance)
+
+    @cached_property
+    def bearings(self) -> tuple[Array, Array]:
+        """The bearing (E,) that the compared angle tells, and its sigma (E,); what is common does not move."""
+        edges, tilt_rad = self.edges, self.camera.mount.tilt_rad
+        if self.parameters.kind == "line":
+            return edges.bearing, edges.bearing_sigma
+        bearing = geometry.bearing_from_lean(edges.lean, tilt_rad)
+        return bearing, edges.lean_sigma * np.abs(geometry.bearing_per_lean(bearing, tilt_rad))
+
+    def predicted(self, tangent: Array) -> tuple[Array, Array]:
+        """Return the angle that is compared (P,) for tan(bearing) (P,), and its derivative by the bearing."""
+        if self.parameters.kind == "line":
+            return np.arctan(tangent), np.ones_like(tangent)
+        s = np.sin(self.camera.mount.tilt_rad)
+        return np.arctan(s * tangent), s * (1 + tangent**2) / (1 + (s * tangent) ** 2)
+
+    @cached_property
+    def span_rad(self) -> float:
+        """The angle that clutter is spread over."""
+        a_left, a_right, _, _ = self.camera.upright_bounds
+        predicted, _ = self.predicted(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
+        return float(abs(predicted[1] - predicted[0]))
+
+    # -- ends ---------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def has_ends(self) -> bool:
+        """Whether it is known where the edges end."""
+        return bool(np.isfinite(self.edges.ends_px).all())
+
+    @cached_property
+    def ends(self) -> Endpoints:
+        """Where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
+        ends_px, camera = self.edges.ends_px, self.camera
+        count, known_sigma = len(ends_px), SIGMA_PX / camera.focal_px
+        if not self.has_ends:  # measured by something that tells no ends
+            e = np.tile([-UNKNOWN, UNKNOWN], (count, 1))
+            sigma, room, peak = np.full((count, 2), known_sigma), np.full((count, 2), UNKNOWN), np.zeros((count, 2))
+            return Endpoints(e, sigma, np.full(count, UNKNOWN), room, peak, 1.0)
+        e, cut = ends_lower_first(ends_px, camera)
+        _, _, e_low, e_high = camera.upright_bounds
+        row = ROW_PX / camera.focal_px
+        near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0
+        room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
+        sigma = known_sigma * np.hypot(1.0, self.edges.height_sigma_m * end_per_height(e, camera) / known_sigma)
+        peak = (1.0 - MISSED) * room / (np.sqrt(2 * np.pi) * sigma)
+        per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
+        # The border ends an edge wherever its landmark does.
+        return Endpoints(e, sigma, per_length, np.where(cut, UNKNOWN, room), np.where(cut, 0.0, peak), MISSED)
+
+    # -- as loops take them -------------------------------------------------------------------------------------------
+
+    def table(self, landmark_map: LandmarkMap, blur_rad: float) -> EdgeTable:
+        """Return the table of edges. blur_rad: sigma that is added to every edge's own."""
+        rows = self._table.rows.copy()
+        rows[:, 1] += blur_rad**2
+        if self.parameters.association == "unknown":
+            rows[:, -1] = marked_landmarks(self.edges, landmark_map)[self._table.order]
+        return replace(self._table, rows=rows, largest_var=self._table.largest_var + blur_rad**2)
+
+    @cached_property
+    def _table(self) -> EdgeTable:
+        edges, ends, known = self.edges, self.ends, self.is_known
+        identified = self.parameters.association == "known"
+        if identified:  # edges are of the landmark that they name, and tell nothing where they name none
+            known = known & (edges.landmark_id >= 0)
+        # Edges of which this observation knows nothing go to the end: no landmark comes near them.
+        measured, variance = np.where(known, self.measured, [[np.inf], [1.0]])
+        columns: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak]
+        columns += [1.0 / ends.sigma, edges.polarity, edges.landmark_id.astype(np.float64)]
+        order = np.argsort(measured, kind="stable")[: known.sum() if identified else None]
+        rows = np.column_stack(columns)[order]
+        return EdgeTable(rows, order, bins_of(rows[: known.sum(), 0]), float(variance[known].max(initial=0.0)))
+
+    @cached_property
+    def sight(self) -> tuple[tuple[float, ...], tuple[float, float, float, float]]:
+        """The image that landmarks are seen in, and how far away they may be, as `log_products` takes them."""
+        sight, camera = self.parameters.sight, self.camera
+        margin = sight.margin_px / camera.focal_px * np.array([-1.0, 1.0, -1.0, 1.0])
+        bounds: list[float] = (np.array(camera.upright_bounds) + margin).tolist()
+        tilt_rad, shortest = camera.mount.tilt_rad, max(sight.length_min_px, 1e-9) / camera.focal_px
+        widest, farthest_m = float(widest_tangent(camera, sight)), sight.far.range_max_m
+        image = (float(np.sin(tilt_rad)), float(np.cos(tilt_rad)), *bounds, shortest)
+        return image, (sight.range_min_m**2, farthest_m**2, sight.range_max_m**2, widest)
+
+    @cached_property
+    def clutter(self) -> Array:
+        """The edges (E, 14) as the loop of `clutter` takes them.
+
+        Bearing, its variance, cosine and sine, and the angle at which a density per rad of bearing is that of evenly
+        spread clutter, which is denser where the compared angle changes faster; of both ends the upright height, its
+        slope, the room that clutter has, whether the border made it; and 1 / length.
+        """
+        (bearing, sigma), ends, tilt_rad = self.bearings, self.ends, self.camera.mount.tilt_rad
+        s, c = np.sin(tilt_rad), np.cos(tilt_rad)
+        span = self.span_rad / self.predicted(np.tan(bearing))[1]
+        columns: list[NDArray[Any]] = [bearing, sigma**2, np.cos(bearing), np.sin(bearing), span]
+        columns += [ends.e, (ends.e * c - s) / (c + ends.e * s), ends.room, ends.cut, ends.per_length]
+        return np.column_stack(columns)
+
+
+def bins_of(angle: Array) -> EdgeBins:
+    """Return where ascending angles (E,) begin in even bins: first (B,), and (lowest, bins per rad, last bin).
+
+    Those from bin i on are angle[first[i]:]; the last bin is beyond all.
+    """
+    if len(angle) == 0:
+        return np.zeros(1, dtype=np.int64), (0.0, 1.0, 0.0)
+    step = max(float(angle[-1] - angle[0]) / (_BINS - 2), 1e-12)
+    first = np.searchsorted(angle, angle[0] + step * np.arange(_BINS))
+    first[-1] = len(angle)
+    return first, (float(angle[0]), 1.0 / step, _BINS - 1.0)
+
+
+# -- edges ------------------------------------------------------------------------------------------------------------
+
+
+def marked_landmarks(edges: Edges, landmark_map: LandmarkMap) -> Indices:
+    """Return the landmark (E,) that each edge is by the marker whose side it is; -1 for others.
+
+    A side that the map has twice tells none of them.
+    """
+    if not (edges.landmark_id < -1).any():
+        return np.full(len(edges.landmark_id), -1)
+    of = kept_with(landmark_map, ("markers",), lambda: sides_on(landmark_map))
+    return np.array([of.get(code, -1) for code in edges.landmark_id.tolist()], dtype=np.int64)
+
+
+def sides_on(landmark_map: LandmarkMap) -> dict[int, int]:
+    """Return the landmark of each marker's side that the map has once. Raises InputError for a name that is none."""
+    names = [(k, one["identity"]) for k, one in enumerate(landmark_map.extra) if "identity" in one]
+    codes = [(k, code_of(name)[0]) for k, name in names]
+    count = Counter(code for _, code in codes)
+    return {code: k for k, code in codes if count[code] == 1}
+
+
+def end_per_height(e: Array, camera: Camera) -> Array:
+    """Return by how much ends e (E, 2), the lower first, move for each metre of the camera's height, unsigned, 1/m.
+
+    They are at the distance d ahead where the lower one is on the floor; an end at e then moves by (c + e s)² / d.
+    """
+    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
+    per_ahead = np.maximum(s - e[:, :1] * c, 0.0) / (camera.mount.height_m * (c + e[:, :1] * s))
+    return np.asarray((c + e * s) ** 2 * per_ahead)
+
+
+def ends_lower_first(ends_px: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+    """Return upright image heights (E, 2) of ends (E, 2, 2), the lower first, and whether they lie at the border."""
+    e, cut = camera.upright_from_pixels(ends_px)[..., 1], at_border(ends_px, camera)
+    turned = e[:, :1] > e[:, 1:]
+    return np.where(turned, e[:, ::-1], e), np.where(turned, cut[:, ::-1], cut)
+
+
+def at_border(ends_px: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Return whether ends (E, 2, 2) lie at the image's border (E, 2)."""
+    from_border = np.minimum(ends_px, np.array([camera.width, camera.height]) - 1 - ends_px)
+    return np.asarray(from_border.min(axis=-1) < TOLERANCE_PX)
