@@ -31,7 +31,7 @@ sys.path[:0] = [str(ROOT / "tests" / "support")]
 from live_processes import SETTINGS, START, Program, free_endpoint, program  # noqa: E402
 
 LOG = ROOT / "logs" / "corridor"
-ROBOT = ROOT / "tests" / "support" / "live_faulty_robot.py"
+ROBOT = ROOT / "benchmarks" / "faulty_robot.py"
 MESSAGES = ("duplicated", "reordered", "in the future", "corrupt", "junk", "no odometry")
 OTHERS = ("stopped", "started anew", "pose stated")
 FIELDS = ("seconds", "memory_mb", "descriptors", "threads", "images", "error_m", "p_correct", "fault")

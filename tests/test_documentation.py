@@ -132,7 +132,7 @@ def test_programs_beside_the_package_have_the_options_that_are_documented() -> N
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "page", [page for page in TUTORIALS if page.stem != "fleet"], ids=lambda page: page.stem
-)  # that one waits for robots: tests/live/test_fleet.py
+)  # that one waits for robots: tests/live/test_processes.py
 def test_a_tutorial_runs_as_it_is_written(
     page: Path, localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,13 +1,19 @@
-"""Comparisons in pairs: intervals against scipy, Holm's correction, what is worse."""
+"""Comparisons in pairs: intervals against scipy, Holm's correction, which runs are pairs; the tables of a batch."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from batches import row
+from rich.console import Console
+from rich.table import Table
 from scipy import stats
 
+from localiser.batch import compare_with, comparison_table, failures, summary_table
 from localiser.batch.compare import ALL_LOGS, COMPARED, Comparison, compare_pairs, holm
+from localiser.errors import InputError
 
 RMSE = COMPARED[:1]
 
@@ -86,3 +92,78 @@ def test_logs_of_one_name_are_kept_apart() -> None:
         (here | {"log_id": "another"}, there | {"log_id": "another"}) for here, there in pairs_of({"drive": [3.0, 4.0]})
     ]
     assert {one.log for one in compare_pairs(pairs, RMSE)} == {ALL_LOGS, "drive id of ", "drive anothe"}
+
+
+def lines(table: Table, width: int = 80) -> list[str]:
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(table)
+    return [" ".join(line.split()) for line in capture.get().splitlines() if line.strip()]
+
+
+def test_a_row_has_the_median_and_the_worst_over_seeds() -> None:
+    kinds = {"line": (0.1, 0.3, 0.2), "slope": (0.4, 0.4, 0.4)}
+    rows = [
+        row("a", seed, rmse, **{"set.observation.kind": kind, "set.mcl.particles": "9", "confidence.sure": 1 - rmse})
+        for kind, errors in kinds.items()
+        for seed, rmse in enumerate(errors)
+    ]
+    found = lines(summary_table(rows))
+    assert found[1] == "mcl.particles 9"
+    assert found[-2:] == ["a line 3 0.200 (0.300) 80 (70)", "a slope 3 0.400 60"]
+
+
+def test_failed_runs_are_counted_and_left_out_of_the_figures() -> None:
+    rows = [row("a", 0, 0.1), row("a", 1, None)]
+    assert lines(summary_table(rows))[-1] == "a 2, 1 failed 0.100"
+    assert failures(rows) == ["a (seed 1): no such log"]
+
+
+def test_comparisons_say_what_changed_by_how_much() -> None:
+    here = [
+        row(log, seed, rmse * (1 + seed / 100), **{"confidence.sure": 0.5})
+        for log, rmse in (("a", 0.1), ("b", 0.2), ("c", 0.1))
+        for seed in range(3)
+    ]
+    there = [row(log, seed, 0.1, **{"confidence.sure": 0.5}) for log in ("a", "b", "c") for seed in range(3)]
+    found = lines(comparison_table(compare_with(here, there, Path("there"))), 120)
+    told = [line for line in found if line.startswith(("position", "images"))]
+    assert told[0].startswith("position RMSE all logs 3 +27.2 % ") and not told[0].endswith("worse")
+    assert told[1].startswith("position RMSE b 3 +102.0 % ") and told[1].endswith("worse")
+    assert told[2] == "images sure all logs 3 +0.0 points +0.0 … +0.0 points"
+
+
+HERE = [row("a", seed, 0.1) for seed in range(3)]
+PATH = Path("there")
+
+
+def test_pairs_are_of_the_same_content_and_seed_in_any_order() -> None:
+    there = [row("renamed", 1, 0.1, log_id="id of a"), row("a", 0, 0.1, log_id="recorded anew"), row("a", 7, 0.1)]
+    verdict = compare_with(HERE, there, PATH)
+    assert (verdict.pairs, verdict.alone, verdict.alone_there) == (1, 2, 2)
+
+
+def test_a_run_that_fails_and_did_not_there_is_a_loss() -> None:
+    failed = [*HERE[:2], row("a", 2, None)]
+    verdict = compare_with(failed, HERE, PATH)
+    assert verdict.is_loss and [one["seed"] for one in verdict.newly_failed] == [2]
+    assert not compare_with(HERE, failed, PATH).is_loss
+    assert not compare_with(failed, failed, PATH).is_loss
+
+
+def test_settings_tell_pairs_apart_where_both_sides_share_a_value() -> None:
+    def runs(name: str, *values: str) -> list[dict[str, object]]:
+        return [row("a", 0, 0.1, **{f"set.{name}": value}) for value in values]
+
+    kinds = runs("observation.kind", "line", "slope")
+    assert compare_with(kinds, kinds, PATH).pairs == 2
+    assert compare_with(kinds[:1], kinds, PATH).pairs == 1
+    assert compare_with(runs("mcl.particles", "500"), runs("mcl.particles", "600"), PATH).pairs == 1
+
+
+def test_runs_that_cannot_be_told_apart_or_have_no_counterpart_are_refused() -> None:
+    twice = [row("a", 0, 0.1, **{"set.mcl.particles": value}) for value in ("500", "600")]
+    with pytest.raises(InputError, match="there: expected one run for each log and seed on either side, found two"):
+        compare_with(HERE, twice, PATH)
+    with pytest.raises(InputError, match="there: expected runs of the same logs"):
+        compare_with(HERE, [row("b", 0, 0.1)], PATH)

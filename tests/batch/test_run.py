@@ -1,4 +1,4 @@
-"""The batch as a whole, by the command: rows, what is not done again, failures, exit codes, workers."""
+"""The batch: rows, what is not done again, failures, exit codes, workers; what it runs, and what runs are called."""
 
 from __future__ import annotations
 
@@ -14,9 +14,13 @@ from typing import Any
 
 import pytest
 from short_log import CORRIDOR, FEW_PARTICLES, Localiser, Result, cut_log
+from small_log import write_edge_log, write_small_log
 
-from localiser.batch import run
-from localiser.storage import csv_text, read_figures, read_runs
+from localiser.batch import choices_of, run, seeds_of
+from localiser.batch.choices import Opening, contents_of, map_id, run_id, values_of
+from localiser.config import Config, read_config
+from localiser.errors import InputError
+from localiser.storage import csv_text, read_figures, read_map, read_runs
 
 IMAGES = 4
 
@@ -169,3 +173,115 @@ def test_a_run_that_is_kept_as_ctrl_c_comes_is_in_the_table(
     result = batch(localiser, tmp_path / "out", log, "--seeds", "0-1")
     assert result.exit_code == 130 and "stopped after 1 of 2 runs" in result.err
     assert len(rows(tmp_path / "out")) == 1
+
+
+def test_every_combination_comes_once_and_seeds_vary_fastest(tmp_path: Path) -> None:
+    files = [tmp_path / "a.yaml", tmp_path / "b.yaml"]
+    for file in files:
+        file.write_text("mcl: {particles: 100}\n")
+    overrides = ["observation.kind=line,slope,line", "mcl.particles=500"]
+    found = choices_of([*files, files[0]], overrides, "3,0-1,1")
+    assert [(one.config, dict(one.settings)["observation.kind"], one.seed) for one in found] == [
+        (file, kind, seed) for file in files for kind in ("line", "slope") for seed in (3, 0, 1)
+    ]
+    config = found[4].config_for()
+    assert (config.observation.kind, config.mcl.particles, config.seed) == ("slope", 500, 0)
+
+
+def test_a_list_is_one_value() -> None:
+    overrides = ["edges.mask=[0, 1],[2,3]", 'a="b,c",d', "e={f: 1, g: 2},3"]
+    assert [values_of(text)[1] for text in overrides] == [["[0, 1]", "[2,3]"], ['"b,c"', "d"], ["{f: 1, g: 2}", "3"]]
+
+
+@pytest.mark.parametrize("text", ["", "4-0", "0-", "-1", "0,,1", "0-4294967296", "0-99999999"])
+def test_what_are_no_seeds_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--seeds: expected seeds such as 0-4"):
+        seeds_of(text)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "seeds", "said"),
+    [
+        (["mcl.particles"], None, "expected section.name=value"),
+        (["mcl.particles=100,,200"], None, "expected section.name=value"),
+        (["mcl.particles=100", "mcl.particles=200"], None, "expected each name once"),
+        (["seed=1,2"], "0-4", "by --set or by --seeds"),
+        (["mcl.particles=100,none"], None, "mcl.particles"),
+        (["mcl.particels=100"], None, "particels"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_runs(overrides: list[str], seeds: str | None, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        choices_of([], overrides, seeds)
+
+
+def name_of(log: Path, config: Config | None = None, start: str | None = None) -> str:
+    return run_id(contents_of(log, Opening()), config or Config(), start, "")
+
+
+def change(file: Path, before: str, after: str) -> None:
+    text = file.read_text()
+    assert before in text
+    file.write_text(text.replace(before, after, 1))
+
+
+@pytest.mark.parametrize("write", [write_small_log, write_edge_log])
+def test_a_copy_elsewhere_is_the_same(tmp_path: Path, write: object) -> None:
+    log = (write_small_log if write is write_small_log else write_edge_log)(tmp_path / "log")
+    assert name_of(log) == name_of(shutil.copytree(log, tmp_path / "copy"))
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after"),
+    [
+        ("images.csv", "100000000", "110000000"),
+        ("odometry.csv", "-0.4", "-0.5"),
+        ("map.yaml", "-1.25", "-1.5"),
+        ("camera.yaml", "0.8", "0.9"),
+        ("groundtruth.csv", "1.6", "1.7"),
+        ("log.yaml", "170", "171"),
+    ],
+)
+def test_whatever_is_in_a_log_counts(tmp_path: Path, file: str, before: str, after: str) -> None:
+    log = write_small_log(tmp_path / "log")
+    was = name_of(log)
+    change(log / file, before, after)
+    assert name_of(log) != was
+
+
+def test_the_pixels_of_every_image_count(tmp_path: Path) -> None:
+    log = write_small_log(tmp_path / "log")
+    was = contents_of(log, Opening())
+    first, *_, last = sorted((log / "images").iterdir())
+    shutil.copy(first, last)
+    found = contents_of(log, Opening())
+    assert found.log_id != was.log_id and found.rest_id == was.rest_id
+
+
+def test_settings_start_map_and_version_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_small_log(tmp_path / "log")
+    found = contents_of(log, Opening())
+    names = {
+        name_of(log),
+        name_of(log, read_config(overrides=["motion.alpha1=0.3"])),
+        name_of(log, Config(seed=1)),
+        name_of(log, start="truth"),
+        run_id(found, Config(), None, map_id(read_map(log / "map.yaml"))),
+    }
+    monkeypatch.setattr("localiser.batch.choices.__version__", "another")
+    names.add(name_of(log))
+    assert len(names) == 6
+
+
+def test_a_log_that_cannot_be_read_says_why(tmp_path: Path) -> None:
+    log = write_small_log(tmp_path / "log")
+    (log / "odometry.csv").unlink()
+    assert "odometry.csv: no such file" in str(contents_of(log, Opening()).error)
+
+
+def test_a_corrected_map_or_camera_leaves_the_measurements_the_same(tmp_path: Path) -> None:
+    log = write_small_log(tmp_path / "log")
+    was = contents_of(log, Opening())
+    change(log / "map.yaml", "-1.25", "-1.5")
+    found = contents_of(log, Opening())
+    assert found.log_id == was.log_id and found.rest_id != was.rest_id

@@ -73,9 +73,6 @@ def test_wheels_that_err_count_wrong_for_three_seconds(fault: str, factor: float
     np.testing.assert_allclose(said[~bad], true[~bad], atol=1e-9)
 
 
-# -- maps --------------------------------------------------------------------------------------------------------------
-
-
 # -- what is counted ---------------------------------------------------------------------------------------------------
 
 

@@ -1,9 +1,11 @@
-"""Simulated edges: unbiased, as certain as they say, and nothing that the camera could not see."""
+"""Simulated edges: unbiased, as certain as they say, and nothing that the camera could not see; simulated buildings."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from board.buildings import KINDS
+from board.worlds import MAP_SIGMA_M, clearance_m, hidden_behind, hours_of
 from simulated_edges import EdgeNoise, simulated_edges
 from vga_camera import vga_camera
 
@@ -12,7 +14,7 @@ from localiser.camera import Mount
 from localiser.edges import Segments
 from localiser.edges.mount import nadir_miss
 from localiser.geometry import Trajectory
-from localiser.landmarks import LandmarkMap
+from localiser.landmarks import LandmarkMap, in_camera
 
 CAMERA = vga_camera(
     Mount(np.deg2rad(20), 0.9, roll_rad=np.deg2rad(1), yaw_rad=np.deg2rad(2), back_m=-0.1),
@@ -73,3 +75,36 @@ def test_detection_probability_and_clutter_have_the_stated_means(landmark_map: L
     half_px = np.linalg.norm(false[:, 1] - false[:, 0], axis=-1) / 2
     miss = nadir_miss(Segments.of_ends(false, 0.5), CAMERA, 0.0).angle
     assert np.abs(miss * half_px).max() < 3.0, "clutter is what cannot be told from a vertical edge"
+
+
+SHOWN = ("shelves", "chairs", "corridors", "alike", "crowd", "floor")
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind == "corridors" else kind for kind in SHOWN]
+)
+def test_drive_hits_nothing_and_shows_the_map(kind: str) -> None:
+    drive = hours_of(kind, 1, 0.5)
+    number = list(KINDS).index(kind)
+    building = KINDS[kind](np.random.default_rng([1, 21, number]))
+    assert clearance_m(building, drive.truth[:, :2]).min() > 0.2
+    assert len(drive.t_ns) == len(drive.edges) == 150
+    # Edges of landmarks point where the landmark stands, but for the errors of the map.
+    errors = []
+    for edges, pose in zip(drive.edges, drive.truth, strict=True):
+        known = edges.landmark_id >= 0
+        eye = drive.camera.pose_in_map(pose[None])
+        right, ahead = (axis[0] for axis in in_camera(eye, drive.landmark_map.points[edges.landmark_id[known]]))
+        errors.append(np.hypot(right, ahead) * (edges.bearing[known] - np.arctan2(right, ahead)))
+    across_m = np.concatenate(errors)
+    assert len(across_m) > 100
+    assert 0.5 < across_m.std() / MAP_SIGMA_M < 1.5
+
+
+def test_walls_and_people_hide_what_is_behind_them() -> None:
+    wall = np.array([[[-1.0, -2.0], [1.0, -2.0]]])
+    person = np.array([[3.0, -2.0, 0.25]])
+    points = np.array([[0.0, -4.0], [0.0, -1.0], [0.0, -2.0], [3.0, -4.0], [6.0, -4.0], [2.0, -4.0]])
+    hidden = hidden_behind(np.zeros(2), points, wall, person)
+    #        behind, before, on the wall; beside both; behind the person; beside the wall's end
+    np.testing.assert_array_equal(hidden, [True, False, False, False, True, True])

@@ -129,7 +129,6 @@ def test_a_recording_is_served_until_the_end(localiser: Localiser, empty: Path) 
     command = [sys.executable, "-m", "localiser", "view", str(run), "--web"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as viewer:
-        assert viewer.stdout is not None
         (address,) = re.findall(r"Watch at (\S+),", viewer.stdout.readline())
         page = _page(address, viewer)
         viewer.terminate()

@@ -1,18 +1,25 @@
-"""`localiser doctor`: an installation, and what a log has before it is replayed."""
+"""`localiser doctor` and `localiser pose set`; a replay that is held back to be watched."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
+from live_transport import KeepingTransport
 from short_log import CORRIDOR, Localiser
 from small_bag import Recorder, bag, recording
 from small_log import write_edge_log
 
-from localiser.commands import doctor_checks
+from localiser import live
+from localiser.commands import doctor_checks, pose
+from localiser.commands.options import paced
+from localiser.config import LiveParameters
+from localiser.storage.bags import floor_pose
 
 
 def test_a_plain_installation_lacks_nothing(localiser: Localiser, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,3 +95,36 @@ def test_what_a_bag_lacks_is_told_with_how_to_give_it(localiser: Localiser, tmp_
     result = localiser("doctor", path)
     said = " ".join(result.out.split())
     assert result.exit_code == 1 and "give camera and mount with --camera FILE" in said
+
+
+@pytest.mark.parametrize("frame", ["map", "world"])
+def test_a_pose_names_the_frame_of_the_map(frame: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    transport = KeepingTransport()
+    monkeypatch.setattr(live, "open_transport", lambda *_, **__: transport)
+    monkeypatch.setattr(pose, "PAUSE_S", 0.0)
+    assert pose.send_pose("1,2,90", "0.1,3", LiveParameters(map_frame=frame, namespace="robot1")) == (
+        "/robot1/initialpose"
+    )
+    message = transport.messages("/robot1/initialpose")[-1]
+    assert message.header.frame_id == frame and floor_pose(message)[:2] == (1.0, 2.0)
+
+
+def test_images_pass_at_the_speed_they_were_taken_times_a_factor() -> None:
+    """By a clock of our own: work takes 10 ms an image, waiting takes the rest."""
+    now = [100.0]
+    passed = []
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    def advance() -> None:
+        now[0] += 0.01
+        passed.append(now[0])
+
+    times_ns = [7_000_000_000 + k * 200_000_000 for k in range(5)]
+    with patch("time.monotonic", lambda: now[0]), patch("time.sleep", sleep):
+        step = paced(advance, times_ns, speed=2.0)
+        for _ in times_ns:
+            step()
+    gaps = [round(later - sooner, 6) for sooner, later in pairwise(passed)]
+    assert gaps == [0.11, 0.1, 0.1, 0.1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -134,26 +133,14 @@ def test_a_log_brings_its_camera_its_times_and_a_mount_of_each_image(localiser: 
 # -- what is told -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (lambda data: data[:-40], "expected a whole image, found one that is cut off"),
-        (lambda _: cv2.imencode(".png", np.zeros((100, 100), np.uint8))[1].tobytes(), "as the camera says, found 100×"),
-        (lambda _: b"no image", "expected a JPEG or PNG image, found something else"),
-        (lambda _: b"", "expected a JPEG or PNG image, found an empty file"),
-    ],
-    ids=["cut off", "other size", "text", "empty"],
-)
-def test_a_bad_image_ends_the_run_and_keeps_what_was_done(
-    localiser: Localiser, folder: Path, change: Callable[[bytes], bytes], told: str
-) -> None:
+def test_a_bad_image_ends_the_run_and_keeps_what_was_done(localiser: Localiser, folder: Path) -> None:
     images = [folder / f"{index}.png" for index in range(3)]
     expected = table(run(localiser, folder, images[0], out="whole") / "edges.csv")
-    images[1].write_bytes(change(images[1].read_bytes()))
+    images[1].write_bytes(images[1].read_bytes()[:-40])
     out = folder / "broken"
     result = localiser("edges", *images, "--camera", folder / "camera.yaml", "--out", out)
     assert result.exit_code == 2
-    assert f"{images[1]}: expected" in result.err and told in result.err
+    assert f"{images[1]}: expected a whole image, found one that is cut off" in result.err
     assert f"ended after 1 of 3 images; what was done is in {out}" in result.err
     assert table(out / "edges.csv") == expected
     assert {file.name for file in out.glob("[0-9]*")} == {"0001_0.png"}

@@ -1,4 +1,4 @@
-"""The belief: a right place is not left for one that looks the same and has nothing to hide."""
+"""The belief: no right place is left for its like, no floor is taken for another; what the scene knows of the past."""
 
 from __future__ import annotations
 
@@ -6,13 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from board.run import located, run
+from board.worlds import hours_of
 from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import Localiser, LocatedFrame, read_config
 from localiser.camera import Camera, Mount
+from localiser.edges import Edges
 from localiser.filter.belief import Belief
-from localiser.geometry import Trajectory
+from localiser.filter.scene import APART, SCENE_M, Scene
+from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap
+from localiser.motion import MotionParameters
+from localiser.observation import EdgeObservation, Matches, NearLandmarks, ObservationParameters, Sighting
+from localiser.observation.place_landmarks import MEMORY_SCENES
+from localiser.particles import POSE, Particles
 from localiser.relocalisation import Candidates
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
@@ -39,7 +47,6 @@ def test_hidden_landmarks_do_not_speak_for_a_place_that_has_none(seed: int) -> N
     images = simulated_edges(landmark_map, CAMERA, truth, rng, noise=noise, visible=visible)
     robot = Localiser(landmark_map, CAMERA, read_config(None, ["observation.kind=line"]), seed)
     robot.start(poses[0], START, 0)
-    assert robot.state.particles is not None
     there = replace(robot.state.particles, columns=robot.state.particles.columns.copy())
     there.columns[0] += 40.0
     robot.state.belief = Belief(0.99, 0.01, 0.0, 0.0, candidates=Candidates.unknown(there))
@@ -79,3 +86,106 @@ def test_a_map_is_said_not_to_fit_by_images_with_enough_edges_alone(most: int) -
     located = [frame.located for frame in drive_with_a_wrong_map(0, most)]
     assert located[-1].p_correct < 0.2
     assert (located[-1].warning == "this map does not fit") == (most > 4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["line", "slope"])
+def test_the_map_of_another_floor_is_found_out(kind: str) -> None:
+    """Its corridor is as wide, so the likelihood believes it for most of the way; the robot passes 10 m of doors."""
+    drive, other = hours_of("floor", 1, 0.7), hours_of("floor", 2, 0.1)
+    told = run(drive, 1, observation=kind, start=drive.truth[0], landmark_map=other.landmark_map, same_building=False)
+    first = int(told.warned.argmax())
+    assert told.warned.any() and told.seconds[first] < 30.0
+    assert told.sure[first:].mean() < 0.05
+    right = run(drive, 1, observation=kind)
+    assert not right.warned.any() and right.right.all() and right.sure.mean() > 0.95
+
+
+CLOUD = Particles(POSE, np.zeros((3, 10)), np.zeros(10))
+MISSED = NearLandmarks(np.arange(30), np.full(30, 9.0), np.zeros(30))
+
+
+def test_landmarks_that_are_missing_speak_against_the_map_at_the_tracked_place() -> None:
+    belief = Belief(0.9, 0.05, 0.0, 0.05, near=MISSED)
+    assert belief.warning and belief.p_correct(CLOUD, np.zeros(3), is_tracked=True) < 0.1
+    assert belief.reason(0.1, Sighting(0, measurement=np.zeros(1))) == "edges contradict the map"
+
+
+def test_landmarks_that_are_missing_say_nothing_of_the_map_where_the_robot_is_elsewhere() -> None:
+    """It was carried, say, and the place that is still tracked is improbable."""
+    belief = Belief(0.05, 0.6, 0.25, 0.1, near=MISSED)
+    assert not belief.warning
+    assert belief.reason(0.1, Sighting(0, measurement=np.zeros(1))) == "several places fit"
+
+
+@pytest.mark.parametrize("near", [MISSED, NearLandmarks(np.arange(9), np.full(9, 9.0), np.full(9, 9.0))])
+def test_a_place_that_is_tracked_anew_is_tested_anew(near: NearLandmarks) -> None:
+    """What was seen from another place speaks against the map, not for this place, and fades."""
+    others = Candidates.unknown(replace(CLOUD, columns=CLOUD.columns + 5.0))
+    found = Belief(0.001, 0.99, 0.0, 0.009, candidates=others, near=near).found(is_tracked=True)
+    for belief in (found[1], Belief(0.9, 0.05, 0.0, 0.05, near=near).released(CLOUD)):
+        assert not len(belief.near.landmark)
+        assert belief.near.log_odds == min(near.log_odds, 0.0)
+        later = belief.near.after(Matches.none(5, 30), np.zeros((30, 2)), np.zeros(3), 1.0)
+        assert later.log_odds == pytest.approx(np.exp(-1 / MEMORY_SCENES) * belief.near.log_odds)
+
+
+def test_they_are_not_asked_for_where_nothing_can_be_elsewhere() -> None:
+    """With known landmarks there is no global localisation, and p_correct does not judge the map."""
+    drive, other = hours_of("floor", 1, 0.1), hours_of("floor", 2, 0.1)
+    robot = Localiser(other.landmark_map, drive.camera, read_config(None, ["observation.association=known"]), 0)
+    robot.start(drive.truth[0], np.diag([0.1, 0.1, np.radians(3.0)]) ** 2, int(drive.t_ns[0]))
+    known = [replace(one, landmark_id=np.full(len(one), -1)) for one in drive.edges]
+    frames, _ = located(robot, replace(drive, edges=known))
+    assert len(frames) == 30 and not len(robot.state.belief.near.landmark)
+
+
+OBSERVATION = EdgeObservation(CAMERA, ObservationParameters())
+
+
+def image(bearings: list[float], t_ns: int = 0) -> Sighting:
+    angle = np.array(bearings)
+    return Sighting(t_ns, Edges.from_columns(angle, np.full(len(angle), 0.002), angle, np.full(len(angle), 0.002)))
+
+
+def driven(step_m: float, images: int) -> tuple[Scene, list[float]]:
+    """Return the scene after so many images of the same edges, and the novelty of each."""
+    scene, novelties = Scene(), []
+    for index in range(images):
+        increment = Increment.from_mean([0.0, -step_m if index else 0.0, 0.0])
+        scene, _, jump = scene.followed(OBSERVATION, MotionParameters(), image([-0.2, 0.0, 0.3]), increment)
+        novelties.append(jump.novelty)
+    return scene, novelties
+
+
+@pytest.mark.parametrize("step_m", [0.0, 1e-4, 1e-3, 0.02])
+def test_few_images_are_kept_however_slowly_the_robot_moves(step_m: float) -> None:
+    scene, _ = driven(step_m, 500)
+    assert len(scene.images) <= 2 / APART + 3
+    if step_m * 500 > 2 * SCENE_M:
+        assert SCENE_M <= (scene.moved.path_m - scene.images[0].moved.path_m) < SCENE_M * (1 + 3 * APART)
+
+
+def test_an_image_is_as_new_as_the_way_is_long() -> None:
+    _, novelties = driven(0.06, 10)
+    assert novelties[0] == 1.0
+    np.testing.assert_allclose(novelties[1:], 0.06 / SCENE_M)
+
+
+@pytest.mark.parametrize(
+    ("bearings", "least", "most"),
+    [
+        ([-0.2, 0.0, 0.3], 0.0, 3e-5),  # all continue
+        ([], 3e-4, 3e-4),  # dark: what remains is the chance of being led astray
+        ([0.12], 3e-4, 0.01),  # one new edge is hardly evidence
+        ([-0.2, 0.0, 0.3, 0.12, 0.45], 1e-5, 5e-4),  # two come into view
+        ([-0.5, -0.4, 0.12, 0.2, 0.45], 0.01, 0.2),
+        ([-0.5, -0.45, -0.4, -0.35, -0.3, 0.12, 0.15, 0.2, 0.4, 0.45], 0.1, 0.6),
+        ([*np.linspace(-0.6, -0.25, 15), *np.linspace(0.05, 0.25, 10), *np.linspace(0.35, 0.6, 15)], 0.5, 1.0),
+    ],
+)
+def test_a_robot_was_carried_where_many_edges_continue_none(bearings: list[float], least: float, most: float) -> None:
+    scene, _ = driven(0.06, 10)
+    whole_scene = Increment.from_mean(np.array([0.0, -SCENE_M, 0.0]))
+    found = scene.followed(OBSERVATION, MotionParameters(), image(bearings), whole_scene)[2]
+    assert least * 0.999 <= found.carried(3e-4) <= most * 1.001

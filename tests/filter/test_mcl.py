@@ -199,7 +199,6 @@ def test_estimate_is_that_of_the_weighted_particles_and_resampling_comes_after(
     assert (located.ess < 250) == resamples
     np.testing.assert_allclose(located.estimate.pose[:2], drawn.poses[:, :2].T @ weight, atol=1e-12)
     np.testing.assert_allclose(located.particles.weight, weight, atol=1e-12)
-    assert state.particles is not None
     if resamples:
         np.testing.assert_array_equal(state.particles.log_weight, 0)
         assert set(state.particles["x"]) < set(drawn["x"]), "only copies of what was there, and not all of it"

@@ -21,6 +21,7 @@ from localiser.geometry import (
     bridged,
     compose,
     twist_at,
+    wrap_angle,
 )
 from localiser.mapping import known_poses, wheels_of
 from localiser.motion import MotionParameters
@@ -175,3 +176,16 @@ def test_wheels_that_begin_to_count_anew_tell_nothing() -> None:
 
 def test_rows_before_the_first_pose_tell_nothing() -> None:
     assert twist_at(arc(1.0, 0.5), 20_000_000, (-0.03, -0.02)) == UNKNOWN_TWIST
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e4])
+def test_one_pose_is_the_same_to_the_last_bit_as_one_of_many(scale: float) -> None:
+    one, other = scale * np.random.default_rng(1).normal(size=(2, 200, 3))
+    for function in (compose, between):
+        alone = np.array([function(a, b) for a, b in zip(one, other, strict=True)])
+        assert alone.tobytes() == function(one, other).tobytes()
+
+
+@pytest.mark.parametrize("angle", [0.0, -0.0, np.pi, -np.pi, 3 * np.pi, np.nextafter(np.pi, 0.0), -7.0, np.nan])
+def test_one_angle_is_wrapped_to_the_last_bit_as_one_of_many(angle: float) -> None:
+    assert wrap_angle(float(angle)).tobytes() == wrap_angle(np.array([angle])).tobytes()

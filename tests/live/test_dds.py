@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from threading import Event
@@ -12,7 +12,9 @@ from threading import Event
 import numpy as np
 import pytest
 from live_feed import LOG, Feed, camera, drive
-from live_processes import free_domain, wait_until
+from live_networks import KINDS, Network, domains
+from live_processes import SETTINGS, START, free_domain, program, wait_until
+from short_log import CORRIDOR, Localiser
 
 from localiser.config import LiveParameters
 from localiser.errors import InputError
@@ -21,7 +23,8 @@ from localiser.live.dds_transport import dds_name, dds_type
 from localiser.live.outputs import Publisher
 from localiser.live.transport import Reply, Topic, Transport
 from localiser.ros import SERVICES, outputs_named, service_bytes
-from localiser.storage.bags import Messages, RosType, floor_pose, stamp_of, typestore
+from localiser.storage import open_log, read_track
+from localiser.storage.bags import ODOM, Messages, RosType, floor_pose, stamp_of, typestore
 
 COUNTERPART = Path(__file__).resolve().parents[1] / "support" / "dds_counterpart.py"
 PATIENCE_S = 60.0
@@ -70,7 +73,6 @@ def test_a_pose_is_heard_by_types_that_are_not_ours() -> None:
     with joined(HEARS) as transport, counterpart(HEARS, "hear") as other:
         wait_until(lambda: transport.is_heard(topic))
         transport.publish(topic, content)
-        assert other.stdout is not None
         header, position, variance = other.stdout.read().splitlines()
         assert other.wait(PATIENCE_S) == 0
     assert "sec=7, nanosec=9" in header and "frame_id='map'" in header
@@ -84,7 +86,6 @@ def test_the_last_pose_reaches_a_transient_local_subscriber_that_comes_late() ->
         feed.run.outputs.publisher = Publisher(transport, outputs_named())
         feed([*camera(), *drive(2)])
         with counterpart(RECALLS, "recall") as other:
-            assert other.stdout is not None
             header, position, _ = other.stdout.read().splitlines()
             assert other.wait(PATIENCE_S) == 0
     assert f"nanosec={LOG.frames[1].t_ns}" in header and "frame_id='map'" in header
@@ -150,5 +151,49 @@ def test_a_node_has_a_name_and_its_topics() -> None:
     with joined(NODES, namespace="robot1") as transport, counterpart(NODES, "nodes") as other:
         transport.advertise(Topic("/localiser/pose", RosType.POSE))
         transport.subscribe(Topic("/initialpose", RosType.POSE), lambda content, source: None)
-        assert other.stdout is not None
         assert other.stdout.read() == "/robot1 localiser [['rt/localiser/pose'], ['rt/initialpose']]\n"
+
+
+WHEELS = Topic("/odom", RosType.ODOMETRY)
+LIVE = ("live", "--map", CORRIDOR / "map.yaml", "--start", START, "--json", *SETTINGS)
+ROBOT = ("simulate", CORRIDOR, "--serve", "--quiet")
+MAKE = Messages()
+
+
+@pytest.fixture(params=KINDS)
+def domain(request: pytest.FixtureRequest) -> Iterator[Callable[[], Network]]:
+    """Return what makes domains of ROS 2, each over the same router, or each of DDS."""
+    with domains(request.param) as made:
+        yield made
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_demo_is_identical_to_the_replay_of_its_recording(localiser: Localiser, tmp_path: Path, kind: str) -> None:
+    pytest.importorskip("cyclonedds" if kind == "dds" else "zenoh")
+    bag = tmp_path / "drive.db3"
+    settings = ("--set", "mcl.particles=300", "--set", "mcl.start_particles=1000")
+    network = ("--set", f"live.dds={free_domain()}") if kind == "dds" else ()
+    with program("live", "demo", CORRIDOR, *network, "--json", "--record", bag, *settings) as live:
+        lines = live.poses(15)
+        assert live.end() == 0, live.all_said()
+        live.all_said()
+        lines += live.rest()
+    track = read_track(localiser.replay(bag, tmp_path / "results", few=False) / "trajectory.csv")
+    assert len(track.t_ns) == len(open_log(bag).frames) >= 15
+    assert track.t_ns.tolist() == [line["t_ns"] for line in lines]
+    poses = [[line["x"], line["z"], line["heading"]] for line in lines]
+    np.testing.assert_allclose(track.poses, poses, rtol=0, atol=1e-9)
+
+
+def test_messages_do_not_leave_their_domain(domain: Callable[[], Network]) -> None:
+    mine, other = domain(), domain()
+    heard: list[bytes] = []
+    wanted, unwanted = (MAKE.encode(MAKE.odometry(t_ns, ODOM, np.zeros(3))) for t_ns in (1, 2))
+    with closing(open_transport(mine.options)) as member, closing(open_transport(other.options)) as beside:
+        member.subscribe(WHEELS, lambda content, source: heard.append(content))
+        wait_until(lambda: member.is_heard(WHEELS))
+        assert not beside.is_heard(WHEELS)
+        beside.publish(WHEELS, unwanted)
+        wait_until(lambda: member.publish(WHEELS, wanted) or heard)
+    assert set(heard) == {wanted}

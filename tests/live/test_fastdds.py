@@ -64,7 +64,6 @@ def test_images_and_odometry_of_fast_dds_are_heard(peer: Path, reliable: bool) -
         )
         with subprocess.Popen(command, stdin=subprocess.PIPE, text=True) as process:
             wait_until(lambda: images and wheels)
-            assert process.stdin is not None
             process.stdin.write("heard\n")
             process.stdin.flush()
             wait_until(lambda: len(sent(images)) + (0 if reliable else dropped()) >= IMAGES)

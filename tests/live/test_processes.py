@@ -9,12 +9,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from os import kill
 from pathlib import Path
 
 import numpy as np
 import pytest
+from documented import blocks, commands
 from folders import ROOT
 from live_processes import LEAST_HZ, SETTINGS, START, Program, free_endpoint, program, wait_until
 from short_log import CORRIDOR, Localiser
@@ -119,7 +120,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(folder)], check=True)
 
 
-@pytest.mark.slow  # quick: test_recording.py has a database that is full
+@pytest.mark.slow  # quick: test_recordings.py has a database that is full
 def test_a_full_disk_ends_the_recording_and_not_the_run(robot: Program, endpoint: str, small_disk: Path) -> None:
     bag = small_disk / "drive.db3"
     limit = None if small_disk.is_mount() else DISK_BYTES  # of files, which fails as a full disk does
@@ -190,3 +191,35 @@ def test_a_run_that_hears_nothing_says_what_to_do_and_ends_with_1() -> None:
 def test_who_does_not_listen_is_told(localiser: Localiser) -> None:
     result = localiser("pose", "set", "1,2,3", "--set", f"live.connect={free_endpoint()}")
     assert result.exit_code == 2 and "can be reached" in result.err
+
+
+PAGE = ROOT / "docs" / "tutorials" / "fleet.md"
+ON_PAGE = "tcp/127.0.0.1:7447"
+
+
+@pytest.mark.slow
+def test_the_page_runs_as_it_is_written(localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In its order, but for the port of the router and the number of particles; each run follows its robot."""
+    monkeypatch.chdir(tmp_path)
+    for part in ("logs", "maps"):
+        shutil.copytree(ROOT / part, tmp_path / part)
+    endpoint = free_endpoint()
+    (site,) = (block.text for block in blocks(PAGE) if block.language == "yaml")
+    (tmp_path / "site.yaml").write_text(site.replace(ON_PAGE, endpoint))
+    ran = []
+    with ExitStack() as stack:
+        runs = []
+        for written in commands(PAGE):
+            words = [word.replace(ON_PAGE, endpoint) for word in written]
+            if words[0] == "simulate":
+                stack.enter_context(program(*words)).wait_to_say("until Ctrl-C")
+            elif words[0] == "live":
+                runs.append(stack.enter_context(program(*words, "--json", *SETTINGS)))
+                runs[-1].poses(3)
+            else:
+                if words[0] == "batch":
+                    assert [run.end(signal.SIGINT) for run in runs] == [0, 0, 0]
+                result = localiser(*words)
+                assert result.exit_code == 0, result.out + result.err
+            ran.append(words[0])
+    assert ran == ["simulate", "simulate", "doctor", "live", "live", "pose", "simulate", "live", "batch"]

@@ -166,7 +166,6 @@ def test_what_goes_out_is_recorded() -> None:
 def test_a_player_of_a_recording_keeps_what_was_latched(tmp_path: Path) -> None:
     """As rosbags reads the quality of service that players offer."""
     feed = Feed(record=tmp_path / "drive.db3")
-    assert feed.recording is not None
     feed.run.outputs.publisher = Publisher(
         KeepingTransport(),
         outputs_named(),

@@ -93,7 +93,6 @@ class Robot:
             publisher.close()
 
     def truth(self, stamp_ns: int) -> np.ndarray:
-        assert LOG.groundtruth is not None
         return LOG.groundtruth.at(max(stamp_ns - self.begin_ns, LOG.frames[0].t_ns))
 
     def _drive(self) -> None:

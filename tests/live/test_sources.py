@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import attack_bombs as bombs
 import cv2
 import numpy as np
 import pytest
+from bounded import bounded
 from hypothesis import given
 from hypothesis import strategies as st
 from live_feed import LOG, Feed, arrival, camera, drive, image, odometry
@@ -133,3 +135,28 @@ def test_no_image_after_a_flood_is_lost(kind: str) -> None:
     expected = [frame.t_ns for frame in LOG.frames[BEFORE + 1 : BEFORE + 1 + AFTER]]
     assert feed.times[-AFTER:] == expected
     assert feed.worst_error_m() < 0.15
+
+
+MANY_FRAMES = """
+import json
+import sys
+import attack_bombs as bombs
+from live_feed import BEGIN_NS, MAKE, Feed, arrival, camera, drive
+feeds = []
+for at_once in (15_000, 500):
+    known = (sys.argv[1] == "moving_transforms") == (at_once == 500)
+    content = [bombs.many_frames(MAKE, at_once, first, BEGIN_NS) for first in range(0, 15_000, at_once)]
+    hostile = [arrival(sys.argv[1], 0, one) for one in content]
+    feed = Feed()([*camera(), *drive(2)])
+    feeds.append((feed, [*hostile, *drive(10, first=2)]) if known else (Feed(), [*hostile, *camera(), *drive(12)]))
+begin()
+print(json.dumps([[len(feed(messages).published), feed.said[-30:]] for feed, messages in feeds]))
+"""
+
+
+@pytest.mark.parametrize(("role", "topic"), [("transforms", "/tf_static"), ("moving_transforms", "/tf")])
+def test_messages_of_a_neighbour_that_ask_for_much_cost_little(role: str, topic: str) -> None:
+    """At once, or in several messages; before the camera is known, or afterwards. They leave nothing behind."""
+    told = ("at most 262144 bytes", "fewer than 1000 transforms")
+    for (located, said), expected in zip(json.loads(bounded(MANY_FRAMES, role)), told, strict=True):
+        assert located == 12 and f"{topic}: left out a message: expected {expected}" in " ".join(said)

@@ -1,17 +1,33 @@
-"""Alignment of maps with unknown correspondence, and maps put together."""
+"""Finished maps: aligned with unknown correspondence, put together, and the quality of their landmarks."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from map_commands import run
 
+from localiser.camera import Camera, Mount
+from localiser.edges import Edges
 from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import agreeing, align, fuse_maps, join_maps, matches
+from localiser.mapping import (
+    agreeing,
+    align,
+    duplicates,
+    fuse_maps,
+    join_maps,
+    matches,
+    merge_duplicates,
+)
+from localiser.mapping.landmarks import fit_landmarks
+from localiser.mapping.quality import is_placed
+from localiser.mapping.sightings import Sightings, direction_of
+from localiser.storage import read_map, write_map
 
 
 def hall(seed: int, count: int = 40) -> np.ndarray:
@@ -67,7 +83,6 @@ def test_fusing_weighs_by_covariance_and_keeps_what_is_alone() -> None:
     assert whole.polarity.tolist() == [1, 0, -1]
     assert whole.bottom_m[0] == 0.0
     assert whole.source[0] == "a log; a log"
-    assert whole.quality is not None
     assert whole.quality.sightings == pytest.approx([9.0, np.nan, 8.0], nan_ok=True)
     assert whole.quality.profile[0] == pytest.approx(np.ones(5))
 
@@ -98,3 +113,75 @@ def test_maps_of_any_width_are_aligned_within_memory() -> None:
     """Two landmarks a thousand kilometres apart: the places between them are not counted one by one."""
     first = np.concatenate([hall(1), [[-1e6, -1e6], [1e6, 1e6]]])
     assert len(align(first, first, 0.15).pairs) == len(first)
+
+
+def five() -> LandmarkMap:
+    """Return three landmarks at one place, one 0.5 m away, and one as near as that with the other polarity."""
+    points = np.array([[1.0, 2.0], [1.01, 2.0], [1.005, 2.01], [1.5, 2.0], [1.5, 2.01]])
+    plain = LandmarkMap.from_points(points, bottom_m=np.array([0.0, 0.5, 0.0, 0.0, 0.0]), top_m=np.full(5, 2.0))
+    sightings = np.array([5.0, 20.0, 10.0, 5.0, 5.0])
+    quality = Quality(sightings, np.full(5, 0.3), np.full(5, 0.99), np.zeros((5, 0)))
+    cov = np.tile(1e-4 * np.eye(2), (5, 1, 1))
+    return replace(plain, cov=cov, quality=quality, polarity=np.array([1, 1, 0, 1, -1], dtype=np.int8))
+
+
+def test_three_at_one_place_become_the_one_that_most_images_show() -> None:
+    merged, gone = merge_duplicates(five())
+    assert merged.ids == (1, 3, 4)
+    assert sorted(other for _, other in gone) == [0, 2]
+    assert merged.points[0] == pytest.approx([1.005, 2.0033], abs=1e-4)
+    assert merged.cov[0] == pytest.approx(1e-4 / 3 * np.eye(2))
+    assert merged.bottom_m[0] == 0.5
+    assert merged.quality.sightings[0] == 20
+    assert len(duplicates(merged)) == 0
+
+
+def test_a_command_merges_what_the_check_lists(tmp_path: Path) -> None:
+    write_map(five(), tmp_path / "map.yaml")
+    assert "There twice" in run("map", "check", tmp_path / "map.yaml").output
+    shown = " ".join(run("map", "merge", tmp_path / "map.yaml", "-o", tmp_path / "better.yaml").output.split())
+    assert "0 is part of 1" in shown
+    assert "3 landmarks" in shown
+    assert "2 were there twice" in shown
+    assert len(read_map(tmp_path / "better.yaml")) == 3
+
+
+def test_taking_landmarks_takes_their_quality_along() -> None:
+    quality = replace(Quality.unknown(3), existence=np.array([0.1, 0.2, 0.3]))
+    whole = replace(LandmarkMap.from_points(np.arange(6.0).reshape(3, 2), ids=("a", "b", "c")), quality=quality)
+    part = whole.take(np.array([2, 0]))
+    assert part.ids == ("c", "a")
+    assert part.points.tolist() == [[4.0, 5.0], [0.0, 1.0]]
+    assert part.quality.existence.tolist() == [0.3, 0.1]
+
+
+def test_a_landmark_whose_sigma_is_larger_than_any_distance_to_it_has_no_place() -> None:
+    cameras = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    points = np.array([[0.0, -2.0], [0.3, -4.0]])
+    frames = []
+    for camera in cameras:
+        heading, _ = direction_of(points, np.tile(camera, (2, 1)))
+        frames.append(Edges.from_bearings(wrap_angle(camera[2] - heading), 0.001))
+    sightings = Sightings.from_edges(frames, Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(0.35, 0.9)))
+    made = fit_landmarks(sightings, np.array([0, 1, 0, 1]), cameras, np.full(4, 0.001))
+    assert is_placed(sightings, made, cameras, made.fit.cov).all()
+    for sigma_m, expected in ((1.0, [True, True]), (3.0, [False, True]), (5.0, [False, False])):
+        cov = np.tile(np.diag([1e-6, sigma_m**2]), (2, 1, 1))
+        np.testing.assert_array_equal(is_placed(sightings, made, cameras, cov), expected)
+
+
+def test_quality_of_landmarks_comes_back(tmp_path: Path) -> None:
+    plain = LandmarkMap.from_points(np.array([[0.0, 1.0], [2.0, 3.0]]), name="built")
+    quality = Quality(
+        np.array([12.0, np.nan]),
+        np.deg2rad([23.5, 7.25]),
+        np.array([0.97, np.nan]),
+        np.array([[10.0, 200.5, 90.0], [np.nan] * 3]),
+    )
+    write_map(replace(plain, quality=quality), tmp_path / "map.yaml")
+    found = read_map(tmp_path / "map.yaml").quality
+    assert found is not None
+    for name in ("sightings", "parallax_rad", "existence", "profile"):
+        np.testing.assert_allclose(getattr(found, name), getattr(quality, name), atol=1e-6)
+    write_map(plain, tmp_path / "plain.yaml")
+    assert read_map(tmp_path / "plain.yaml").quality is None

@@ -149,7 +149,6 @@ def test_known_poses_give_an_accurate_complete_honest_map(name: str, seed: int) 
 @pytest.mark.slow
 def test_places_from_rendered_images_err_as_their_covariances_say() -> None:
     log = open_log(Path(__file__).parents[2] / "logs" / "corridor")
-    assert log.landmark_map is not None
     made = mapping.build_map(log, "truth", read_config(None, [], log.settings)).landmark_map
     apart = np.linalg.norm(made.points[:, None] - log.landmark_map.points[None], axis=-1)
     known = apart.min(axis=1) < 0.05  # others are of textures, which the true map lacks
@@ -190,7 +189,6 @@ def test_heights_are_those_of_the_edges_and_unknown_where_every_image_cuts_them(
 def test_quality_says_how_often_and_from_where_a_landmark_was_seen() -> None:
     true, edges, poses = passing(EdgeNoise(endpoint_sigma_px=0.2))
     _, _, made = built_from(edges, CAMERA, poses)
-    assert made.quality is not None
     index = int(np.linalg.norm(made.points - true.points[1], axis=1).argmin())
     frames = sum(bool((frame.landmark_id == 1).any()) for frame in edges)
     heading, _ = direction_of(np.tile(true.points[1], (30, 1)), CAMERA.pose_in_map(poses))

@@ -3,15 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import pytest
+from mrclam import MrclamReader
+from numpy.typing import NDArray
 
-from localiser import particles
-from localiser.geometry import Array, Increment, arc_motion, between, compose, wrap_angle
+from localiser import geometry, particles
+from localiser.calibration import SCALES, Drive, fit_odometry
+from localiser.camera import Camera, Mount
+from localiser.config import read_config
+from localiser.edges import Edges
+from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, mcl, step
+from localiser.filter.moves import moves_between
+from localiser.geometry import Array, Increment, Trajectory, arc_motion, between, compose, wrap_angle
+from localiser.landmarks import LandmarkMap, sight
 from localiser.motion import MotionParameters, predict, wheel_cov
-from localiser.motion.constant_errors import CONSTANT_ERRORS, ConstantErrorParameters, at_start, forgotten
+from localiser.motion.constant_errors import CONSTANT_ERRORS, EXACT, ConstantErrorParameters, at_start, forgotten
+from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles
+from localiser.replay.run import start_of
+from localiser.storage.log import ReadOptions
 
 WIDE = ConstantErrorParameters(
     distance_sigma=0.1, turn_sigma=0.1, veer_sigma_deg_per_m=3.0, delay_sigma_s=0.1, yaw_sigma_deg=1.0, memory_m=1e12
@@ -184,3 +198,153 @@ def test_an_estimate_says_from_where_its_camera_sees() -> None:
     )
     np.testing.assert_allclose(found.pose_as_seen, [1.0, 2.0, 0.35])
     np.testing.assert_allclose(particles.Estimate(POSE, found.mean[:3], np.eye(3)).pose_as_seen, [1.0, 2.0, 0.3])
+
+
+KNOWN = ["observation.association=known", "motion.bias.delay_sigma_s=0.2"]
+
+
+def likeliest_delay(odometry: Trajectory, truth: Trajectory, from_ns: int, until_ns: int) -> float:
+    """By how much later (s) than commanded turns are made, so that turns of 1 s are predicted best."""
+    times = np.arange(from_ns, until_ns, 1_000_000_000)
+    true = turns(truth, times)
+    delays = np.arange(0.0, 0.41, 0.04)
+    misfit = [np.linalg.lstsq(turns(odometry, times - int(1e9 * delay))[:, None], true)[1][0] for delay in delays]
+    return float(delays[np.argmin(misfit)])
+
+
+def turns(track: Trajectory, times: NDArray[np.int64]) -> Array:
+    return np.asarray(geometry.wrap_angle(np.diff(track.sampled(times).poses[:, 2])))
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_wheels_of_a_real_robot_are_learnt_and_it_is_located_within_its_sigmas(data_dir: Path) -> None:
+    log = MrclamReader().read(data_dir / "mrclam:1", ReadOptions())
+    config = read_config(None, KNOWN, log.settings)
+    assert log.landmark_map is not None
+    rng = np.random.default_rng(0)
+    filter_ = mcl.Mcl(
+        log.landmark_map,
+        EdgeObservation(log.camera, config.observation),
+        config.mcl,
+        config.motion,
+        config.observation,
+    )
+    state = mcl.FilterState()
+    found = [one for event in log.events(start_of(log, "truth", rng)) for one in mcl.step(filter_, state, event, rng)]
+    between = found[0].t_ns, found[-1].t_ns
+    truth = log.groundtruth.sampled([one.t_ns for one in found]).poses
+    error: Array = np.array([one.estimate.pose for one in found]) - truth
+    error[:, 2] = geometry.wrap_angle(error[:, 2])
+    position_m = np.hypot(error[:, 0], error[:, 1])
+    assert np.median(position_m) < 0.12
+    assert np.sqrt(np.mean(position_m**2)) < 0.25
+
+    fit = fit_odometry([Drive("robot", log.odometry, log.groundtruth)], config.motion)
+    estimate, by_truth = found[-1].estimate, dict(zip(SCALES, fit.constants[0], strict=True))
+    learnt = dict(zip(estimate.names, estimate.mean, strict=True))
+    assert abs(by_truth["turn_scale"]) > 0.03, "wheels that are right would show nothing"
+    assert abs(learnt["turn_scale"] - by_truth["turn_scale"]) < 0.05
+    assert abs(learnt["distance_scale"] - by_truth["distance_scale"]) < 0.05
+    assert abs(learnt["delay"] - likeliest_delay(log.odometry, log.groundtruth, *between)) < 0.08
+    delay = estimate.names.index("delay")
+    assert estimate.cov[delay, delay] < 0.08**2
+
+
+SECOND = 1_000_000_000
+LATE_S = 0.15
+CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
+SIGMA_RAD = np.radians(0.3)
+START = np.diag([0.05, 0.05, 0.02]) ** 2
+
+
+def commanded(seconds: int) -> Trajectory:
+    """What a robot at 20 Hz is told: another turn every half a second."""
+    rng = np.random.default_rng(5)
+    turn = np.repeat(rng.uniform(-1, 1, 2 * seconds), 10) * 0.05
+    poses = [np.zeros(3)]
+    for angle in turn:
+        poses.append(compose(poses[-1], arc_motion(np.array([0.0, -0.3 * 0.05]), angle, 1.0)))
+    return Trajectory(np.arange(len(poses)) * (SECOND // 20), np.array(poses))
+
+
+def wheels(track: Trajectory) -> list[Odometry]:
+    return [Odometry(int(t_ns), pose) for t_ns, pose in zip(track.t_ns, track.poses, strict=True)]
+
+
+def later(track: Trajectory, delay_s: float) -> Trajectory:
+    return Trajectory(track.t_ns + round(delay_s * SECOND), track.poses)
+
+
+def test_increments_say_what_a_later_robot_would_have_done_all_along() -> None:
+    """Image by image, also over long moves, though the odometry that is past is forgotten."""
+    track, state = commanded(20), FilterState()
+    state.odometry.extend(wheels(track))
+    for t_ns in (SECOND, 5 * SECOND // 4, 3 * SECOND // 2, 11 * SECOND, 12 * SECOND):
+        start_ns = state.at_ns
+        moves, *_ = moves_between(state.odometry, start_ns, t_ns, LATE_S)
+        late = [Increment.from_mean(move.mean + LATE_S * move.by_delay) for move in moves]
+        expected = between(*later(track, LATE_S).sampled([start_ns, t_ns]).poses)
+        np.testing.assert_allclose(reduce(Increment.then, late).mean, expected, atol=1e-9)
+        step_ = reduce(Increment.then, moves)
+        small = reduce(Increment.then, [Increment.from_mean(move.mean + 1e-6 * move.by_delay) for move in moves]).mean
+        np.testing.assert_allclose((small - step_.mean) / 1e-6, step_.by_delay, atol=1e-5)
+        state.at_ns = t_ns
+    assert state.odometry[0].t_ns <= 12 * SECOND - LATE_S * SECOND
+    assert len(state.odometry) < 170, "what is past is forgotten"
+
+
+def test_of_a_robot_that_cannot_be_late_nothing_is_said() -> None:
+    state = FilterState()
+    state.odometry.extend(wheels(commanded(3)))
+    moves, *_ = moves_between(state.odometry, 0, 2 * SECOND)
+    assert not any(move.by_delay.any() for move in moves)
+
+
+def located(bias: ConstantErrorParameters) -> tuple[list[Located], Array]:
+    """Follow a robot among landmarks that does 0.15 s later what it is told; return also its true poses."""
+    rng = np.random.default_rng(0)
+    odometry = commanded(20)
+    truth = later(odometry, LATE_S)
+    angle = np.arange(0, 2 * np.pi, 0.2)
+    points = odometry.poses[:, :2].mean(axis=0) + 8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    landmark_map = LandmarkMap.from_points(points)
+    parameters = ObservationParameters(landmark_sigma_m=0.0, decorrelation_m=0.0)
+    mcl = Mcl(
+        landmark_map,
+        EdgeObservation(CAMERA, parameters),
+        MclParameters(particles=300, start_particles=300),
+        MotionParameters(alpha1=1e-4, alpha2=1e-4, alpha3=1e-4, alpha4=1e-5, bias=bias),
+        parameters,
+    )
+    state, found, true = FilterState(), [], []
+    list(step(mcl, state, Start(0, np.zeros(3), START), rng))
+    waiting = iter(wheels(odometry))
+    for t_ns in range(SECOND // 5, 19 * SECOND, SECOND // 5):
+        true.append(truth.at(t_ns))
+        tangent = sight(CAMERA, true[-1][None], landmark_map).tangent
+        bearing = np.arctan(tangent) + rng.normal(0, SIGMA_RAD, len(tangent))
+        nothing = np.full(len(bearing), np.nan)
+        edges = Edges.from_columns(bearing, np.full(len(bearing), SIGMA_RAD), nothing, nothing)
+        found += step(mcl, state, Sighting(t_ns, edges), rng)
+        for event in waiting:
+            found += step(mcl, state, event, rng)
+            if event.t_ns >= t_ns:
+                break
+    return found, np.array(true)
+
+
+def test_a_robot_that_is_late_is_found_to_be_and_followed_better_for_it() -> None:
+    found, truth = located(ConstantErrorParameters(0.0, 0.0, 0.0, delay_sigma_s=0.2, yaw_sigma_deg=0.0))
+    last = found[-1].estimate
+    row = last.names.index("delay")
+    sigma = np.sqrt(last.cov[row, row])
+    assert sigma < 0.02
+    assert abs(last.mean[row] - LATE_S) < 3 * sigma
+
+    def rmse_rad(run: list[Located]) -> float:
+        return float(
+            np.sqrt(np.mean([(one.estimate.pose[2] - true[2]) ** 2 for one, true in zip(run, truth, strict=True)]))
+        )
+
+    assert rmse_rad(found) < 0.8 * rmse_rad(located(EXACT)[0])

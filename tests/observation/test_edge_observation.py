@@ -280,7 +280,6 @@ def test_sigma_and_gate_say_where_an_edge_becomes_clutter(kind: str) -> None:
     rng = np.random.default_rng(5)
     landmark_map, edges = some_map(rng, cov_m=0.05), some_edges(rng, 60, common=True)
     matches = observation.associate(POSE_TRUE, Sighting(0, edges), landmark_map).matches()
-    assert matches.sigma is not None and matches.gate is not None
     matched = matches.landmark >= 0
     assert matched.any() and np.isnan(matches.sigma[~matched]).all() and np.isnan(matches.gate[~matched]).all()
     assert (np.abs(matches.residual[matched]) < matches.gate[matched] * matches.sigma[matched]).all()

@@ -132,7 +132,6 @@ def test_the_filter_knows_what_the_last_image_showed() -> None:
 
     class Listening(EdgeObservation):
         def associate_prior(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
-            assert sighting.persistent is not None
             clutter.append(float(sighting.persistent[0]))
             return super().associate_prior(particles, sighting, landmark_map)
 

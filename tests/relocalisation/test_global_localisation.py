@@ -220,7 +220,6 @@ def test_a_robot_that_stands_still_gets_the_same_candidates() -> None:
     belief = replace(Belief.stated(), tracked=0.6, elsewhere=0.2, candidates=places(poses), unproposed=0.0)
     for _ in range(20):
         belief = seen(belief, driven.events[1], driven.truth[0], novelty=0.0)  # type: ignore[arg-type]
-    assert belief.candidates is not None
     np.testing.assert_array_equal(belief.candidates.particles.poses[:, :2], poses[:, :2])
 
 
@@ -284,7 +283,7 @@ def test_particles_that_are_released_keep_their_odds() -> None:
     poses = np.random.default_rng(0).normal(2.0, 0.1, (50, 3))
     belief = Belief(4e-4, 0.8, 0.0, 0.1994, places(np.zeros((100, 3))), unmapped=2e-4)
     found = belief.released(cloud(poses))
-    assert found.here == 0.0 and total(found) == pytest.approx(total(belief)) and found.candidates is not None
+    assert found.here == 0.0 and total(found) == pytest.approx(total(belief))
     weight = found.candidates.particles.weight
     assert weight[100:].sum() / weight[:100].sum() == pytest.approx(6e-4 / 0.8)
     alone = Belief(0.0, 0.0, 0.0, 1.0).released(cloud(poses))
@@ -372,7 +371,6 @@ def test_what_was_overlooked_is_another_place_and_not_a_contradiction() -> None:
 def test_candidates_are_not_where_the_robot_is_tracked() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1], [3.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
     belief = Belief(0.5, 0.4, 0.0, 0.1, places(poses)).beside(np.zeros(3))
-    assert belief.candidates is not None
     np.testing.assert_array_equal(belief.candidates.particles.poses, poses[2:])
     assert (belief.tracked, belief.elsewhere) == pytest.approx((0.7, 0.2))
     near = Belief(0.5, 0.4, 0.0, 0.1, places(poses[:2])).beside(np.zeros(3))
@@ -459,7 +457,6 @@ def test_proposed_poses_keep_the_constant_errors_and_see_through_them() -> None:
     (first, _), (second, _) = (
         SEARCH.proposed(like, clues, 0.5, np.random.default_rng(0)) for like in (straight, turned)
     )
-    assert first is not None and second is not None
     one, other = first.particles, second.particles
     assert (other[CAMERA_YAW] == 0.02).all() and np.array_equal(one.log_weight, other.log_weight)
     np.testing.assert_allclose(geometry.wrap_angle(one["heading"] - other["heading"]), 0.02)

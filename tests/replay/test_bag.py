@@ -1,10 +1,13 @@
-"""A replay as a bag: what other programs find in it."""
+"""A replay as a bag; what it warns of; and logs whose clock or wheels jump."""
 
 from __future__ import annotations
 
+import csv
+import json
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -77,3 +80,69 @@ def test_a_bag_that_cannot_be_written_is_told_before_the_run(localiser: Localise
         result = localiser("replay", CORRIDOR, "--out", tmp_path / "results", "--bag", tmp_path / name, "--quiet")
         assert result.exit_code != 0 and told in result.err
     assert not (tmp_path / "results").exists() and (tmp_path / "there.mcap").read_text() == "mine"
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return cut_log(CORRIDOR, tmp_path / "log", FRAMES)
+
+
+def figures_of(localiser: Localiser, log: Path, out: Path) -> dict:
+    return json.loads((localiser.replay(log, out) / "metrics.json").read_text())
+
+
+@pytest.mark.parametrize(("gain", "said"), [(0.2, "are dark: 95 %"), (3.0, "are washed out:")])
+def test_bad_light_is_told(localiser: Localiser, log: Path, tmp_path: Path, gain: float, said: str) -> None:
+    for path in (log / "images").iterdir():
+        image = np.clip(gain * cv2.imread(str(path)), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(path), image)
+    figures = figures_of(localiser, log, tmp_path / "out")
+    (warning,) = [text for text in figures["warnings"] if said in text]
+    assert warning.startswith("3 of 3 images looked at"), "every fifth"
+
+
+def test_silent_odometry_is_told_and_a_plain_log_has_no_warning(
+    localiser: Localiser, log: Path, tmp_path: Path
+) -> None:
+    plain = figures_of(localiser, log, tmp_path / "plain")
+    assert plain["warnings"] == []
+    header, *rows = (log / "odometry.csv").read_text().splitlines()
+    kept = [row for row in rows if not 400_000_000 < int(row.split(",")[0]) < 1_900_000_000]
+    (log / "odometry.csv").write_text("\n".join([header, *kept]) + "\n")
+    silent = figures_of(localiser, log, tmp_path / "silent")
+    (warning,) = silent["warnings"]
+    assert "silent for more than 1 s 1×, for 1.5 s in all, in which 8 images came" in warning
+    assert "after 0.4 s" in warning
+
+
+DECADES_NS = 30 * 365 * 86_400 * 10**9
+JUMP_NS = 1_000_000_000
+TABLES = ("images.csv", "odometry.csv", "groundtruth.csv")
+
+
+def jumped_log(folder: Path, column: str, jump: float) -> Path:
+    """Return a log in which a column of all tables that have it is greater by `jump` after some images."""
+    log = cut_log(CORRIDOR, folder, 12)
+    for name in TABLES:
+        with (log / name).open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        if column in rows[0]:
+            for row in rows:
+                if int(row["t_ns"]) > JUMP_NS:
+                    row[column] = str(type(jump)(row[column]) + jump)
+            lines = [",".join(rows[0]), *(",".join(row.values()) for row in rows)]
+            (log / name).write_text("\n".join(lines) + "\n")
+    return log
+
+
+@pytest.mark.parametrize("odometry", [pytest.param("wheel", marks=pytest.mark.slow), "vision"])
+def test_a_calendar_that_jumps_by_decades_takes_no_longer(localiser: Localiser, tmp_path: Path, odometry: str) -> None:
+    log = jumped_log(tmp_path / "log", "t_ns", DECADES_NS)
+    run = localiser.replay(log, tmp_path / "out", "--odometry", odometry)
+    assert json.loads((run / "metrics.json").read_text())["frames"] == 12
+
+
+def test_wheels_that_jump_around_the_world_are_survived(localiser: Localiser, tmp_path: Path) -> None:
+    log = jumped_log(tmp_path / "log", "x", 9e8)
+    run = localiser.replay(log, tmp_path / "out", "--start", "0.11,0.60,1.2")
+    assert json.loads((run / "metrics.json").read_text())["frames"] == 12

@@ -57,7 +57,6 @@ def test_it_tells_the_same_of_itself_and_nothing_of_errors(run: Replay, known: R
 
 def test_errors_are_as_large_as_it_expects(known: Replay, figures: dict[str, Any]) -> None:
     truth = known.log.groundtruth
-    assert truth is not None
     error = known.track.poses - truth.sampled(known.track.t_ns).poses
     distance_m, turn_deg = np.hypot(*error[:, :2].T), np.degrees(np.abs(error[:, 2]))
     assert (distance_m < 3 * known.track.position_sigma_m).mean() > 0.99
@@ -68,7 +67,6 @@ def test_errors_are_as_large_as_it_expects(known: Replay, figures: dict[str, Any
 
 def test_distance_and_speed_are_the_true_ones(known: Replay, figures: dict[str, Any]) -> None:
     truth, times = known.log.groundtruth, known.track.t_ns
-    assert truth is not None
     driven_m = np.hypot(*np.diff(truth.sampled(times).poses[:, :2], axis=0).T).sum()
     wheels_m = np.hypot(*np.diff(known.track.odometry[:, :2], axis=0).T).sum()
     assert figures["distance_m"] == pytest.approx(driven_m, rel=0.01)

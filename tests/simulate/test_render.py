@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plain_room import CORNERS, plain_room
 
 from localiser.camera import Camera
 from localiser.geometry import Array, Trajectory
@@ -21,19 +22,14 @@ def world_data(**changes: Any) -> dict[str, Any]:
     Dark floors, since the shadow at the foot of a wall is a gradient of its own.
     """
     plain = {"texture": "plain", "contrast": 0.0}
-    corners = [[-4.0, 4.0], [-4.0, -4.0], [4.0, -4.0], [4.0, 4.0]]
-    return {
-        "format": "localiser-world/1",
-        "name": "room",
+    own = {
         "materials": {
-            "wall": {**plain, "colour": [90, 90, 90]},
-            "floor": {**plain, "colour": [4, 4, 4]},
-            "post": {**plain, "colour": [230, 230, 230]},
+            name: plain | {"colour": [grey] * 3} for name, grey in (("wall", 90), ("floor", 4), ("post", 230))
         },
         "floor": {"material": "floor"},
         "ceiling": {"material": "floor"},
         "light": {"ambient": 1.0, "directional": 0.2},
-        "walls": [{"from": corners[k - 1], "to": corners[k]} for k in range(4)],
+        "walls": [{"from": CORNERS[k - 1], "to": CORNERS[k]} for k in range(4)],
         "posts": [{"x": 0.0, "z": -1.0, "width_m": 0.5, "rotation_deg": 20.0, "material": "post"}],
         "camera": {
             "focal_px": 554.0,
@@ -41,10 +37,8 @@ def world_data(**changes: Any) -> dict[str, Any]:
             "distortion": [-0.25, 0.05, 0.001, -0.002],
             "mount": {"tilt_deg": 20.0, "roll_deg": 3.0, "height_m": 0.9, "yaw_deg": 2.0, "back_m": -0.1},
         },
-        "drive": {"path": [{"to": [0.0, 3.0]}, {"to": [0.0, 1.0]}]},
-        "image": {"noise_sigma": 0.0, "colour": False},
-        **changes,
     }
+    return plain_room(**(own | changes))
 
 
 @pytest.fixture(scope="module")

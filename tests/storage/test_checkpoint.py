@@ -99,7 +99,6 @@ def test_every_field_of_the_state_is_in_the_file(tmp_path: Path) -> None:
 def test_memory_order_of_arrays_is_kept(tmp_path: Path) -> None:
     """Sums are rounded in the order of memory, so the order belongs to the state."""
     state = filter_state()
-    assert state.particles is not None
     for order in ("C", "F"):
         state.particles = replace(state.particles, columns=np.array(state.particles.columns, order=order))
         save(tmp_path / "run", state, np.random.default_rng(0))
@@ -305,7 +304,6 @@ def test_everything_comes_back_as_it_was() -> None:
     )  # fmt: skip
     np.testing.assert_array_equal(after.more, before.more)
     for one, two in zip([before.inner, *before.many], [after.inner, *after.many], strict=True):
-        assert one is not None
         np.testing.assert_array_equal(one.values, two.values)
         np.testing.assert_array_equal(np.signbit(one.values), np.signbit(two.values))
         np.testing.assert_array_equal(one.flags, two.flags)

@@ -1,4 +1,4 @@
-"""The log folder: written whole or not at all, read back, and refused with the place of what is wrong."""
+"""The log folder: written whole or not at all, read back, refused with the place of what is wrong; other formats."""
 
 from __future__ import annotations
 
@@ -12,9 +12,23 @@ import numpy as np
 import pytest
 from small_log import CAMERA, IMAGE_TIMES, MAP, ODOMETRY, START, TRUTH, image, write_edge_log, write_small_log
 
-from localiser.errors import InputError
+from localiser.camera import Mount, MountSigma
+from localiser.errors import InputError, OutputError
 from localiser.filter import mcl
-from localiser.storage import Image, ImageEvent, open_log, write_log
+from localiser.storage import (
+    FORMATS,
+    FolderReader,
+    Image,
+    ImageEvent,
+    Log,
+    LogReader,
+    ReadOptions,
+    open_log,
+    require_new,
+    require_new_file,
+    write_bytes,
+    write_log,
+)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +50,6 @@ def test_log_is_read_back(written: Path) -> None:
     assert log.camera.width == CAMERA.width
     assert log.landmark_map is not None and log.landmark_map.ids == MAP.ids
     np.testing.assert_allclose(log.odometry.poses, ODOMETRY.poses, atol=1e-9)
-    assert log.groundtruth is not None and log.start is not None
     np.testing.assert_allclose(log.groundtruth.poses, TRUTH.poses, atol=1e-9)
     np.testing.assert_allclose(log.start.mean, START.mean)
     np.testing.assert_allclose(log.start.cov, START.cov, atol=1e-15)
@@ -190,3 +203,141 @@ def test_a_pipe_in_place_of_a_file_is_told_and_not_waited_for(tmp_path: Path, na
     os.mkfifo(path)
     with pytest.raises(InputError, match="expected a file, found a device or pipe"):
         open_log(tmp_path / "log")
+
+
+def with_columns(written: Path, folder: Path, header: str, *rows: str) -> Path:
+    """Copy the log, and add columns to its table of images."""
+    shutil.copytree(written, folder)
+    table = folder / "images.csv"
+    lines = [f"{line},{cells}" for line, cells in zip(table.read_text().split(), (header, *rows), strict=True)]
+    table.write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def mounts_of(folder: Path) -> list[Mount | None]:
+    return [frame.mount for frame in open_log(folder).frames if isinstance(frame, ImageEvent)]
+
+
+def test_a_log_without_the_columns_has_no_mounts(written: Path) -> None:
+    assert mounts_of(written) == [None, None, None]
+
+
+def test_an_empty_cell_means_what_the_camera_file_says(written: Path, tmp_path: Path) -> None:
+    header = "tilt_deg,height_m,tilt_deg_sigma"
+    first, second, third = mounts_of(with_columns(written, tmp_path / "log", header, "25,,", ",1.5,0.2", ",,"))
+    usual = open_log(written).camera.mount
+    assert first == replace(usual, tilt_rad=np.radians(25.0))
+    assert second == replace(usual, height_m=1.5, sigma=MountSigma(tilt_rad=np.radians(0.2)))
+    assert third is None
+
+
+def test_mounts_are_read_back_as_they_were_written(tmp_path: Path) -> None:
+    sigma = MountSigma(tilt_rad=0.01, yaw_rad=0.02, height_m=0.03)
+    moved = Mount(0.3, 1.2, 0.01, -0.4, 0.05, -0.2, sigma=sigma)
+    mounts = [None, moved, replace(CAMERA.mount, yaw_rad=1.0)]
+    images = [(t_ns, image(index)) for index, t_ns in enumerate(IMAGE_TIMES)]
+    write_log(tmp_path / "log", name="a", camera=CAMERA, odometry=ODOMETRY, images=images, mounts=mounts)
+    found = mounts_of(tmp_path / "log")
+    assert found[0] is None
+    for one, other in zip(found[1:], mounts[1:], strict=True):
+        assert one is not None and other is not None
+        for name in ("tilt_rad", "height_m", "roll_rad", "yaw_rad", "right_m", "back_m"):
+            assert getattr(one, name) == pytest.approx(getattr(other, name), abs=1e-14)
+    assert found[1].sigma.yaw_rad == pytest.approx(0.02) and found[1].sigma.roll_rad is None
+
+
+def test_columns_that_would_say_nothing_are_not_written(tmp_path: Path) -> None:
+    images = [(t_ns, image(index)) for index, t_ns in enumerate(IMAGE_TIMES)]
+    mounts = [replace(CAMERA.mount, height_m=1.0 + index) for index in range(3)]
+    write_log(tmp_path / "log", name="a", camera=CAMERA, odometry=ODOMETRY, images=images, mounts=mounts)
+    assert (tmp_path / "log/images.csv").read_text().startswith("t_ns,file,height_m\n")
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "expected"),
+    [
+        ("tilt_deg", "90", "above -90 and below 90 degrees"),
+        ("roll_deg", "181", "within ±180"),
+        ("height_m", "0", "above 0"),
+        ("back_m", "-101", "within ±100 m"),
+        ("tilt_deg_sigma", "-0.1", "from 0 to 45"),
+        ("right_m_sigma", "11", "from 0 to 10 m"),
+        ("yaw_deg", "left", "a number"),
+    ],
+)
+def test_a_mount_that_cannot_be_is_refused(
+    written: Path, tmp_path: Path, column: str, cell: str, expected: str
+) -> None:
+    folder = with_columns(written, tmp_path / "log", column, "", cell, "")
+    with pytest.raises(InputError, match=expected) as error:
+        open_log(folder)
+    assert error.value.line == 3 and error.value.field == column
+
+
+class PointerReader:
+    """Reads a file that names another log; a format of someone else."""
+
+    format, looks_like, options = "pointer", "a file that ends in .pointer", ("topics",)
+
+    def recognises(self, path: Path) -> bool:
+        return path.suffix == ".pointer"
+
+    def read(self, path: Path, options: ReadOptions) -> Log:
+        return replace(FolderReader().read(Path(path.read_text()), options), name=options.topics.get("name", "none"))
+
+
+@pytest.fixture
+def pointer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    readers: list[LogReader] = [*FORMATS, PointerReader()]
+    monkeypatch.setattr("localiser.storage.open.FORMATS", readers)
+    write_edge_log(tmp_path / "log")
+    (tmp_path / "a.pointer").write_text(str(tmp_path / "log"))
+    return tmp_path / "a.pointer"
+
+
+def test_a_reader_that_is_registered_reads_its_format(pointer: Path) -> None:
+    assert open_log(pointer).name == "none"
+    assert open_log(pointer, format="pointer", topics={"name": "x"}).name == "x"
+    assert open_log(pointer.parent / "log").name != "none"
+
+
+def test_what_is_said_of_a_format_is_that_of_all_registered(pointer: Path) -> None:
+    with pytest.raises(InputError, match="format: expected folder, bag or pointer, found 'video'"):
+        open_log(pointer, format="video")
+    with pytest.raises(InputError, match=r"a ROS bag or a file that ends in \.pointer"):
+        open_log(pointer.parent)
+    with pytest.raises(InputError, match="--camera is for ROS bags, found a log of the format 'pointer'"):
+        open_log(pointer, camera=pointer)
+    with pytest.raises(InputError, match="no such log"):
+        open_log(pointer.parent / "missing")
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("durably", [False, True])
+def test_interrupted_writing_leaves_what_was_there_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, durably: bool
+) -> None:
+    path = tmp_path / "state"
+    write_bytes(path, b"before", durably=durably)
+
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr("os.fsync" if durably else "pathlib.Path.replace", fail)
+    with pytest.raises(OutputError, match="state: cannot be written: no space left"):
+        write_bytes(path, b"after", durably=durably)
+    assert path.read_bytes() == b"before"
+    assert [file.name for file in tmp_path.iterdir()] == ["state"]
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    require_new(tmp_path)
+    require_new(tmp_path / "new")
+    require_new_file(tmp_path / "file")
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(OutputError, match="expected a new or empty folder, found files in it"):
+        require_new(tmp_path)
+    with pytest.raises(OutputError, match="expected a new file, found one that is there already"):
+        require_new_file(tmp_path / "file")

@@ -215,7 +215,6 @@ def test_coordinates_of_utm_are_a_start_a_map_and_a_path(tmp_path: Path) -> None
         landmark_map=landmark_map, start=start, groundtruth=truth,
     )  # fmt: skip
     log = open_log(tmp_path / "log")
-    assert log.start is not None and log.landmark_map is not None and log.groundtruth is not None
     np.testing.assert_allclose(log.start.mean, far, atol=1e-9)
     np.testing.assert_allclose(log.landmark_map.points, landmark_map.points, atol=1e-6)
     np.testing.assert_allclose(log.groundtruth.poses, truth.poses, atol=1e-6)

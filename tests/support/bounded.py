@@ -34,7 +34,6 @@ def bounded(code: str, *arguments: object) -> str:
         text=True,
         env=os.environ | _FEW_THREADS | {"PYTHONPATH": os.pathsep.join(sys.path)},
     ) as child:
-        assert child.stdout is not None
         if child.stdout.readline() == "ready\n":
             pages = int(Path(f"/proc/{child.pid}/statm").read_text().split()[0])
             memory = pages * resource.getpagesize() + MORE_MB * 2**20

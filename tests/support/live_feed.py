@@ -25,7 +25,7 @@ from localiser.live.run import LiveRun
 from localiser.live.tracker import Resumed, Tracker
 from localiser.localiser import Localiser
 from localiser.ros import outputs_named
-from localiser.storage import ImageEvent, open_log, read_maps, read_track
+from localiser.storage import open_log, read_maps, read_track
 from localiser.storage.bags import ODOM, CameraFinder, Messages
 
 MAKE = Messages()
@@ -38,7 +38,6 @@ CONFIG = read_config(
 
 def image(t_ns: int, index: int, data: bytes | None = None) -> Arrival:
     frame = LOG.frames[index]
-    assert isinstance(frame, ImageEvent)
     return arrival("image", t_ns, MAKE.encode(MAKE.compressed(BEGIN_NS + t_ns, data or frame.encoded())))
 
 
@@ -111,7 +110,6 @@ class Feed:
     def assert_replays(self, localiser: Any) -> None:
         """Close the recording, and assert that its replay gives the same poses. localiser: the fixture."""
         self.close()
-        assert self.record is not None
         run = localiser.replay(self.record, self.record.parent / "results", few=False)
         track = read_track(run / "trajectory.csv")
         assert (track.t_ns - BEGIN_NS).tolist() == self.times
@@ -126,6 +124,5 @@ class Feed:
         return [published.located.t_ns - BEGIN_NS for published in self.published]
 
     def worst_error_m(self) -> float:
-        assert LOG.groundtruth is not None
         truth = LOG.groundtruth.sampled(self.times).poses
         return float(np.hypot(*(self.poses - truth)[:, :2].T).max())

@@ -66,7 +66,6 @@ class Program:
 
     def tell(self, line: str) -> None:
         """Write a line on its standard input."""
-        assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n")
         self.process.stdin.flush()
 

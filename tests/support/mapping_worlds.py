@@ -60,13 +60,8 @@ class World:
 def world(name: str) -> World:
     """Return the drive of a world that ships with the project."""
     model = documents.read_model(WORLDS / f"{name}.yaml", simulate.World, simulate.world_of)
-    log = simulate.simulated_log(model, 0)
-    landmark_map = log.scene.structure.landmark_map
-    visible = np.zeros((len(log), len(landmark_map)), dtype=bool)
-    for row, shown in zip(visible, log.visible, strict=True):
-        row[shown.landmark] = True
-    t_ns = log.drive.image_t_ns
-    return World(landmark_map, log.camera, log.drive.truth.sampled(t_ns), log.drive.odometry.sampled(t_ns), visible)
+    drive = _driven(simulate.simulated_log(model, 0))
+    return replace(drive, odometry=drive.odometry.sampled(drive.truth.t_ns))
 
 
 def laps(name: str, seed: int, distance_scale: float = 0.04, times: int | None = None) -> World:
@@ -82,13 +77,15 @@ def laps(name: str, seed: int, distance_scale: float = 0.04, times: int | None =
     ways = tuple(type(model.drive.path[0])(to=point) for point in path)
     drive = model.drive.model_copy(update={"path": ways})
     wheels = model.odometry.model_copy(update={"distance_scale": distance_scale})
-    log = simulate.simulated_log(model.model_copy(update={"drive": drive, "odometry": wheels}), seed)
+    return _driven(simulate.simulated_log(model.model_copy(update={"drive": drive, "odometry": wheels}), seed))
+
+
+def _driven(log: simulate.SimulatedLog) -> World:
     landmark_map = log.scene.structure.landmark_map
     visible = np.zeros((len(log), len(landmark_map)), dtype=bool)
     for row, shown in zip(visible, log.visible, strict=True):
         row[shown.landmark] = True
-    t_ns = log.drive.image_t_ns
-    return World(landmark_map, log.camera, log.drive.truth.sampled(t_ns), log.drive.odometry, visible)
+    return World(landmark_map, log.camera, log.drive.truth.sampled(log.drive.image_t_ns), log.drive.odometry, visible)
 
 
 def with_looks(edges: list[Edges], landmarks: int, seed: int) -> list[Edges]:

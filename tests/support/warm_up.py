@@ -17,7 +17,7 @@ IMAGES = 3
 def main() -> None:
     """Localise along the first images of the log that ships, in all the ways that have loops of their own."""
     log = open_log(ROOT / "logs" / "corridor")
-    assert log.landmark_map is not None and log.start is not None
+    assert log.landmark_map is not None
     few = ["mcl.particles=100", "mcl.start_particles=100"]
     for kind in ("line", "slope"):
         config = read_config(None, [*few, f"observation.kind={kind}"], log.settings)

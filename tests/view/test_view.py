@@ -480,7 +480,6 @@ def test_a_viewer_does_not_outlive_a_run_that_is_killed() -> None:
     code = "import test_view as t; view = t.LiveView('web', t.context()); print(view._viewer.pid); input()"
     pipe, here = subprocess.PIPE, Path(__file__).parent
     with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True, cwd=here) as run:
-        assert run.stdout is not None
         group = int(run.stdout.readline())
         while len(processes_of(group)) < 2:  # the viewer, and what started it
             assert run.poll() is None

@@ -1,18 +1,23 @@
-"""`localiser map check`: doubles and coverage."""
+"""`localiser map check|align|merge|update`, and the pictures of maps."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from folders import ROOT
 from map_commands import edge_log, refused, run
 from mapping_worlds import world
+from matplotlib.figure import Figure
 
-from localiser.landmarks import LandmarkMap
-from localiser.mapping import coverage, duplicates, in_view
-from localiser.storage import write_camera, write_map
+from localiser.commands.map import pictures
+from localiser.geometry import pose_from_ros, robot_from_map
+from localiser.landmarks import LandmarkMap, Quality
+from localiser.mapping import FloorPlan, coverage, duplicates, in_view, join_maps
+from localiser.storage import read_map, write_camera, write_map
 
 
 @pytest.fixture(autouse=True)
@@ -81,3 +86,133 @@ def test_the_command_tells_and_draws(tmp_path: Path) -> None:
     write_camera(drive.camera, tmp_path / "camera.yaml")
     alone = run("map", "check", path, "--camera", tmp_path / "camera.yaml")
     assert "Picture in" in alone.output
+
+
+def points(count: int = 30) -> np.ndarray:
+    return np.random.default_rng(5).uniform([-6, -9], [6, 1], (count, 2))
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    """A map of 30 landmarks that are known to 2 cm."""
+    plain = LandmarkMap.from_points(points(), name="hall", source="a log")
+    unknown = np.full(30, np.nan)
+    quality = Quality(np.full(30, 9.0), unknown, np.full(30, 0.9), np.zeros((30, 0)))
+    path = tmp_path / "hall.yaml"
+    write_map(
+        replace(plain, cov=np.tile(4e-4 * np.eye(2), (30, 1, 1)), quality=quality, header={"surveyor": "Ada"}), path
+    )
+    return path
+
+
+def test_align_and_merge(made: Path, tmp_path: Path) -> None:
+    """The second map has its own frame, lacks ten landmarks and has one more."""
+    pose = np.array([3.0, -4.0, 1.0])
+    known = read_map(made).take(np.arange(10, 30))
+    other = tmp_path / "other.yaml"
+    extra = LandmarkMap.from_points(np.array([[20.0, 20.0]]), ids=("new",))
+    write_map(join_maps(replace(known, points=robot_from_map(pose, known.points)), extra), other)
+    out = tmp_path / "aligned.yaml"
+    shown = run("map", "align", made, other, "-o", out)
+    assert shown.exit_code == 0
+    assert "20 of 30 and 21 landmarks match" in shown.output
+    assert "turned by 57.30°" in shown.output
+    assert read_map(out).points[:20] == pytest.approx(known.points, abs=1e-6)
+    merged = tmp_path / "merged.yaml"
+    told = run("map", "merge", made, other, "--align", "-o", merged)
+    assert "31 landmarks" in told.output
+    assert "20 of both maps, 10 of the first alone, 1 of the second alone" in told.output
+    whole = read_map(merged)
+    assert whole.points[:30] == pytest.approx(points(), abs=1e-6)
+    assert whole.ids[30] == extra.ids[0]
+    # Two sightings of 2 cm each are one of 1.4 cm.
+    assert whole.cov[15, 0, 0] == pytest.approx(2e-4)
+    assert whole.cov[5, 0, 0] == pytest.approx(4e-4)
+
+
+def test_maps_that_do_not_fit_are_not_merged(made: Path, tmp_path: Path) -> None:
+    far, out = tmp_path / "far.yaml", tmp_path / "out.yaml"
+    write_map(LandmarkMap.from_points(points() + 100.0), far)
+    assert "one frame" in refused("map", "merge", made, far, "-o", out)
+    write_map(LandmarkMap.from_points(points()[:2]), far)
+    assert "do not fit" in refused("map", "align", made, far, "-o", out)
+    assert not out.exists()
+
+
+def test_a_map_exists_already(made: Path) -> None:
+    before = made.read_bytes()
+    assert "expected a new file" in refused("map", "merge", made, "-o", made)
+    assert "expected two maps" in refused("map", "merge", made, "--align", "-o", made.with_name("b.yaml"))
+    assert made.read_bytes() == before
+
+
+def test_a_map_is_drawn_in_the_style_of_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    with mpl.rc_context({"axes.facecolor": "black"}):
+        pictures.draw_map(read_map(ROOT / "maps" / "corridor.yaml"), tmp_path / "map.png")
+    (axes,) = drawn[0].axes
+    assert not axes.spines["top"].get_visible() and axes.get_facecolor() == (1.0, 1.0, 1.0, 1.0)
+    assert (axes.get_title(loc="left"), axes.get_xlabel()) == ("corridor", "x (m)")
+
+
+def test_the_walls_of_a_turned_plan_and_the_path_are_drawn_where_they_are() -> None:
+    occupied = np.zeros((4, 6), dtype=bool)
+    occupied[1, 2:5] = True
+    plan = FloorPlan(occupied, ~occupied, 0.5, np.array([1.0, -2.0, np.pi / 2]))
+    driven = np.array([[0.0, 0.0, 0.0], [9.0, -9.0, 0.0]])
+    landmark_map = LandmarkMap.from_points(np.zeros((1, 2)))
+    (axes,) = pictures.map_figure(landmark_map, "map", driven, plan).axes
+    (walls,), (path,) = axes.images, axes.lines
+    assert np.asarray(path.get_xydata()) == pytest.approx(driven[:, :2])
+    # The outer corner of cell (column 2, row 1) is 1 m along the plan's x axis, which points along ROS's y, and 0.5 m
+    # along its y axis.
+    (corner,) = pose_from_ros(np.array([[1.0 - 0.5, -2.0 + 1.0, 0.0]]))[:, :2]
+    drawn = (walls.get_transform() - axes.transData).transform([2.0, 1.0])
+    assert drawn == pytest.approx(corner, abs=1e-9)
+    (low_x, high_x), (high_z, low_z) = axes.get_xlim(), axes.get_ylim()
+    for x, z in (corner, driven[1, :2]):
+        assert low_x < x < high_x and low_z < z < high_z
+    free = np.ones((2, 2), dtype=bool)
+    without = pictures.map_figure(landmark_map, "map", None, FloorPlan(~free, free, 0.1, np.zeros(3)))
+    assert np.ptp(without.axes[0].get_xlim()) < 1.0, "a plan without walls reaches nowhere"
+
+
+def test_gone_and_new_landmarks(tmp_path: Path) -> None:
+    """Two posts of the map stand in the corridor no more; a landmark that was often seen is not on the map yet."""
+    drive = world("corridor")
+    edges = drive.edges(seed=0)
+    seen = np.bincount(np.concatenate([frame.landmark_id for frame in edges]) + 1)[1:]
+    missing = int(seen.argmax())
+    kept = np.setdiff1d(np.arange(len(drive.landmark_map)), [missing])
+    posts = np.array([[-0.55, -7.3], [0.5, -7.9]])
+    gone = LandmarkMap.from_points(posts, ids=("post", "pole"), bottom_m=np.zeros(2), top_m=np.full(2, 1.5))
+    old = join_maps(drive.landmark_map.take(kept), gone)
+    old = replace(old, cov=np.tile(1e-4 * np.eye(2), (len(old), 1, 1)))
+    path, out = tmp_path / "old.yaml", tmp_path / "new.yaml"
+    write_map(old, path)
+    before = path.read_bytes()
+    log = edge_log(tmp_path / "log", edges)
+    told = run("map", "update", path, log, "-o", out)
+    assert told.exit_code == 0
+    new = read_map(out)
+    assert not {"post", "pole"} & set(new.ids)
+    assert "post" in told.output.split("Gone:")[1].split("New:")[0]
+    apart = np.hypot(*(new.points - drive.landmark_map.points[missing]).T)
+    assert apart.min() < 0.02
+    lost = set(old.ids) - set(new.ids) - {"post", "pole"}
+    assert len(lost) <= 0.05 * len(old)
+    # What the drive saw well stays.
+    often = {drive.landmark_map.ids[k] for k in np.flatnonzero(seen >= 10)} - {drive.landmark_map.ids[missing]}
+    assert often <= set(new.ids)
+    assert path.read_bytes() == before
+    assert "expected a new file" in refused("map", "update", path, log, "-o", out)
+
+
+def test_a_map_of_elsewhere_is_left_alone(tmp_path: Path) -> None:
+    drive = world("corridor")
+    path, out = tmp_path / "old.yaml", tmp_path / "new.yaml"
+    write_map(LandmarkMap.from_points(drive.landmark_map.points + 100.0), path)
+    log = edge_log(tmp_path / "log", drive.edges(seed=0))
+    assert "frame" in refused("map", "update", path, log, "-o", out)
+    assert not out.exists()

@@ -38,13 +38,11 @@ def assert_same(found: Log, wanted: Log, tolerance: float = 1e-9) -> None:
     for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion_model", "distortion", "name"):
         assert getattr(found.camera, name) == getattr(wanted.camera, name), name
     for mine, theirs in ((found.odometry, wanted.odometry), (found.groundtruth, wanted.groundtruth)):
-        assert mine is not None and theirs is not None
         np.testing.assert_array_equal(mine.t_ns, theirs.t_ns)
         np.testing.assert_allclose(mine.poses, theirs.poses, rtol=0, atol=tolerance)
     assert images(found) == images(wanted)
     assert found.landmark_map is not None and wanted.landmark_map is not None
     assert map_data(found.landmark_map) == map_data(wanted.landmark_map)
-    assert found.start is not None and wanted.start is not None
     assert found.start.t_ns == wanted.start.t_ns
     np.testing.assert_allclose(found.start.mean, wanted.start.mean, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.start.cov, wanted.start.cov, rtol=0, atol=1e-12)
@@ -114,7 +112,6 @@ def test_events_are_in_the_order_of_stamps_not_of_arrival(tmp_path: Path, kind: 
     for order in ((0, 1, 2, 3, 4), (4, 3, 2, 1, 0), (2, 2, 0)):  # as a replay reads, and in any other order
         for index in order:
             frame = log.frames[index]
-            assert isinstance(frame, ImageEvent)
             assert (frame.load() == frame.t_ns % 251).all()
 
 
@@ -188,7 +185,6 @@ def test_ground_truth_is_told_by_its_name(tmp_path: Path) -> None:
         recorder.odometry(10**8, 6.0, topic="/ground_truth/odom")
 
     log = open_log(bag(tmp_path / "bag", record))
-    assert log.groundtruth is not None
     np.testing.assert_allclose(log.groundtruth.poses[:, 0], [5.0, 6.0])
     np.testing.assert_allclose(log.odometry.poses[:, 0], np.arange(11) * 0.01)
 
@@ -202,7 +198,6 @@ def test_truth_may_be_of_any_type_of_poses(tmp_path: Path, kind: str, name: str)
             recorder.pose(step * 10**8, 5.0 + step, name, kind)
 
     log = open_log(bag(tmp_path / "bag", record))
-    assert log.groundtruth is not None
     np.testing.assert_allclose(log.groundtruth.poses[:, 0], [5.0, 6.0, 7.0])
 
 
@@ -218,7 +213,6 @@ def test_truth_may_be_a_frame_and_what_is_not_used_is_named(tmp_path: Path) -> N
     with pytest.warns(InputWarning, match="not used: /vicon/one .*/vicon/two .*--topic groundtruth=/vicon/one"):
         assert open_log(path).groundtruth is None
     log = open_log(path, topics={"groundtruth": "mocap/robot"})
-    assert log.groundtruth is not None
     np.testing.assert_allclose(log.groundtruth.poses[:, 0], [5.0, 6.0, 7.0])
     with pytest.raises(InputError, match="found no 'mocap/robat'"):
         open_log(path, topics={"groundtruth": "mocap/robat"})
@@ -323,7 +317,6 @@ def decoded(tmp_path: Path, **fields: object) -> np.ndarray:
     """Return the pixels of a raw image after reading it from a bag."""
     path = bag(tmp_path / "bag", lambda recorder: recorder.image(10**8, **fields))
     (frame,) = open_log(path).frames
-    assert isinstance(frame, ImageEvent)
     grey = frame.load()
     assert grey.shape == (HEIGHT, WIDTH)
     file = np.frombuffer(frame.encoded(), dtype=np.uint8)
@@ -429,7 +422,6 @@ def test_a_compressed_image_that_is_cut_off_is_named(tmp_path: Path) -> None:
     assert done
     path = bag(tmp_path / "bag", lambda recorder: recorder.compressed(10**8, bytes(file)[:-9]))
     (frame,) = open_log(path).frames
-    assert isinstance(frame, ImageEvent)
     with pytest.raises(InputError, match="/cam/image/compressed at 100000000 ns: expected a whole image"):
         frame.load()
 
@@ -455,7 +447,6 @@ def peak_bytes(path: Path, kind: str, count: int) -> int:
     tracemalloc.start()
     try:
         for frame in open_log(path).frames:
-            assert isinstance(frame, ImageEvent)
             frame.load()
         return tracemalloc.get_traced_memory()[1]
     finally:
@@ -485,7 +476,6 @@ def test_house_as_a_bag_is_the_first_20_s_of_house(data_dir: Path) -> None:
     found, whole = open_log(data_dir / "house_bag"), open_log(data_dir / "house")
     count, frames = len(found.odometry), len(found.frames)
     assert (count, frames) == (401, 101)
-    assert found.groundtruth is not None and whole.groundtruth is not None
     shift_ns = found.start_ns - whole.start_ns
     np.testing.assert_array_equal(found.odometry.t_ns - shift_ns, whole.odometry.t_ns[:count])
     # The bag was made from poses with all their digits, the folder has six of them.

@@ -33,7 +33,6 @@ def mounts_of(log: Log) -> list[Mount | None]:
 
 
 def assert_same(found: Mount | None, wanted: Mount) -> None:
-    assert found is not None
     np.testing.assert_allclose(astuple(found)[:-1], astuple(wanted)[:-1], rtol=0, atol=1e-9)
     assert (found.sigma is None) == (wanted.sigma is None)
     if found.sigma is not None and wanted.sigma is not None:
@@ -107,7 +106,6 @@ def test_a_robot_that_leans_over_its_footprint(tmp_path: Path) -> None:
         to.image(0)
         to.image(600 * MILLISECOND)
     upright, leaning = mounts_of(open_log(tmp_path / "bag"))
-    assert upright is not None and leaning is not None
     assert np.degrees(leaning.tilt_rad) == pytest.approx(6.0)
     assert upright.height_m == pytest.approx(1.1) and leaning.height_m == pytest.approx(0.1 + np.cos(np.radians(6.0)))
     assert leaning.back_m == pytest.approx(-np.sin(np.radians(6.0)))
@@ -164,6 +162,6 @@ def test_tilt_by_an_inertial_sensor(tmp_path: Path, fused: bool) -> None:
     log = open_log(tmp_path / "bag", topics={"imu": "/imu"})
     np.testing.assert_allclose(tilts_deg(log), [4.0, 8.0], atol=0.5 if fused else 1e-6)
     for mount in mounts_of(log):
-        assert mount is not None and mount.sigma is not None and mount.sigma.tilt_rad is not None
+        assert mount.sigma.tilt_rad is not None
         assert np.degrees(mount.sigma.tilt_rad) == pytest.approx(0.25, abs=1e-6) or fused
         assert mount.roll_rad == pytest.approx(0.0, abs=1e-3)

@@ -2,7 +2,7 @@
 
 Its true poses are written on standard output, as lines of JSON.
 
-python live_faulty_robot.py LOG ENDPOINT
+python faulty_robot.py LOG ENDPOINT
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ class FaultyTransport:
         self.advertise, self.is_heard = transport.advertise, transport.is_heard
 
     def publish(self, topic: Topic, content: bytes) -> None:
+        """Send what has become of a message; the truth is written out."""
         if topic == TRUTH:
             message = typestore(ros1=False).deserialize_cdr(content, RosType.ODOMETRY)
             sys.stdout.write(f"{json.dumps({'t_ns': stamp_of(message), 'pose': floor_pose(message)})}\n")

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import baseline
+import code_size
 import pytest
 import short_logs
 
@@ -60,3 +61,18 @@ def test_a_digest_is_of_names_and_content(tmp_path: Path) -> None:
 def test_logs_for_digests_are_the_same_every_time(tmp_path: Path) -> None:
     first, second = (short_logs.posts(tmp_path / name, 5) for name in ("first", "second"))
     assert (first / "edges.csv").read_bytes() == (second / "edges.csv").read_bytes()
+
+
+def test_what_is_above_its_ceiling_ends_the_check(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["code_size.py", "--check"])
+    found = code_size.counted(code_size.by_package())
+    assert found["commands"] > 10 and found["lines: all of localiser"] > 10_000
+    monkeypatch.setattr(code_size, "BUDGETS", {name: (count, 0) for name, count in found.items()})
+    code_size.main()
+    assert "above" not in capsys.readouterr().out
+    monkeypatch.setitem(code_size.BUDGETS, "options", (found["options"] - 1, 0))
+    with pytest.raises(SystemExit):
+        code_size.main()
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines() if "above" in line] == ["options"]
