@@ -52,36 +52,25 @@ class Outcome:
 
 def replayed(task: Task) -> Outcome:
     """Replay, and return the metrics or the reason why not: a task that fails leaves the others alone."""
+    import cv2
+    import numba
+
     try:
-        with _one_thread():
-            opening, folder = task.opening, task.folder
-            log = opening.open(task.log, task.config)
-            run = prepare(log, task.config, opening.start, map_files=[opening.map_file] if opening.map_file else ())
-            run.localiser.warm_up(images=log.has_images)
-            with output_errors(folder):
-                folder.mkdir(parents=True, exist_ok=True)
-            outputs = Outputs(folder.parent, rrd=False, report=False)
-            return Outcome(task.number, FolderRun.open(run, outputs, RunFolder(folder)).run(lambda: None))
+        # As many runs as cores go on at once: more threads would only wait for each other.
+        cv2.setNumThreads(1)
+        numba.set_num_threads(1)
+        opening, folder = task.opening, task.folder
+        log = opening.open(task.log, task.config)
+        run = prepare(log, task.config, opening.start, map_files=[opening.map_file] if opening.map_file else ())
+        run.localiser.warm_up(images=log.has_images)
+        with output_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        outputs = Outputs(folder.parent, rrd=False, report=False)
+        return Outcome(task.number, FolderRun.open(run, outputs, RunFolder(folder)).run(lambda: None))
     except LocaliserError as error:
         return Outcome(task.number, error=str(error))
     except Exception as error:
         return Outcome(task.number, error=f"{type(error).__name__}: {error}")
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let libraries use one thread: as many runs as cores go on at once, and more would only wait for each other."""
-    import cv2
-    import numba
-
-    before = cv2.getNumThreads(), numba.get_num_threads()
-    cv2.setNumThreads(1)
-    numba.set_num_threads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before[0])
-        numba.set_num_threads(before[1])
 
 
 # -- where runs are done ----------------------------------------------------------------------------------------------

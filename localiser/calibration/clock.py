@@ -39,39 +39,32 @@ _COARSE, _FINE = 101, 25
 """How many offsets are compared over the whole reach, and then in a window around the best of them."""
 _WIDE_S, _NARROW_S, _CERTAIN_S = 0.15, 0.05, 0.015
 """Half of the windows, and the sigma below which the narrow one is used."""
-_FLAT_SHARE = 0.5
-"""A parabola whose sigma is this share of its window is no peak."""
+_FLAT_SHARE = 0.5  # a parabola whose sigma is this share of its window is no peak
 _FEW = 9
 """Offsets by which pairs are chosen."""
 _LEAST_SIGMA_S = 0.001
 _SHORTEST_S, _LONGEST_S = 0.15, 2.0
 """A pair closer in time turns too little to tell, one further apart has too few edges in common."""
-_SCALE_SIGMA, _VEER_SIGMA = 0.05, np.deg2rad(1.0)
-"""Tolerances of wheels: share of the turn, rad/m."""
-_WHEEL_NOISE = np.geomspace(0.003, 0.1, 6)
-"""How noisy wheels may be: sigma of a turn by the root of that turn, √rad."""
+_SCALE_SIGMA, _VEER_SIGMA = 0.05, np.deg2rad(1.0)  # tolerances of wheels: share of the turn, rad/m
+_WHEEL_NOISE = np.geomspace(0.003, 0.1, 6)  # how noisy wheels may be: sigma of a turn by the root of that turn, √rad
 _TURN_A_METRE = MotionParameters().alpha2 / MotionParameters().alpha1
 """A metre adds as much noise to a turn as this turn does (rad/m)."""
 _LEAST_TURN_SIGMA = np.deg2rad(0.02)
 _SIDEWAYS_SHARE, _WAY_SHARE, _LEAST_WAY_M = 0.05, 0.1, 0.01
 """How far a pair's way may be off that of the wheels, to the side and along it."""
-_FREEDOM = 4.0
-"""Degrees of freedom of Student's t: a residual of many sigmas counts little."""
+_FREEDOM = 4.0  # degrees of freedom of Student's t: a residual of many sigmas counts little
 _SWEEPS = 3
 _PARTS, _FEWEST_PAIRS = 8, 16
-_LEAST_TURNED_RAD = np.deg2rad(30.0)
-"""With less turning the noise of the wheels decides, and nothing is told."""
+_LEAST_TURNED_RAD = np.deg2rad(30.0)  # with less turning the noise of the wheels decides, and nothing is told
 _CLEAR, _CLEAR_RAD = 3.0, np.deg2rad(1.0)
 """A pair counts as turning beyond so many sigmas, and beyond the errors of a bad pair."""
 _WIDE_SHARE = 0.5
 """Of the parabola's width that counts as sigma, beside the scatter of parts: the window widens a narrow peak."""
-_SURE = 3.3
-"""Sigmas that chance exceeds in 0.1 % of the cases."""
+_SURE = 3.3  # sigmas that chance exceeds in 0.1 % of the cases
 TOLERABLE_S = 0.02
 """At a turn of 1 rad/s this is 1.1° of heading, which the filter bears."""
 _BORDER_SHARE = 0.95
-_VAGUE_S = 0.05
-"""An offset that is less certain tells little."""
+_VAGUE_S = 0.05  # an offset that is less certain tells little
 
 
 @dataclass(frozen=True, slots=True)

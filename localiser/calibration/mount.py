@@ -21,8 +21,7 @@ from localiser.geometry import Array, Twist
 
 # -- lines as planes through the camera's centre ----------------------------------------------------------------------
 
-_END_SIGMA_PX = 0.5
-"""Error across the line of an end of a segment that was rejected and so not measured further."""
+_END_SIGMA_PX = 0.5  # error across the line of an end of a segment that was rejected and so not measured further
 _SHORTEST_PX = 2.0
 PRIOR_SIGMA_RAD = np.deg2rad([5.0, 3.0])
 """How far stated tilt and roll are off at most, one sigma: so wide that it decides only what no edge tells."""
@@ -31,8 +30,7 @@ REACH_SIGMA = 2.5
 _GRID_RAD = np.deg2rad(0.5)
 _WIDEST_MISS_RAD = np.deg2rad(10.0)
 """Lines that are no vertical edges miss down by anything up to this, each value as likely."""
-_LEAST_PLUMB_RAD = np.deg2rad(0.02)
-"""Nothing is built, and no lens calibrated, better than this."""
+_LEAST_PLUMB_RAD = np.deg2rad(0.02)  # nothing is built, and no lens calibrated, better than this
 _ITERATIONS = 100
 _CONVERGED_RAD = 1e-7
 
@@ -177,14 +175,11 @@ def fit_mount(lines: Lines, stated: Array, start: Array) -> Plumb:
 
 _COARSE_IMAGES = 60
 _COARSE_PASSES = 4
-_SETTLED_RAD = np.deg2rad(0.1)
-"""A mount this near shows the edge detector the same lines."""
-_RANGE_M = 2.5
-"""How far away things are that a camera which looks at the floor sees."""
+_SETTLED_RAD = np.deg2rad(0.1)  # a mount this near shows the edge detector the same lines
+_RANGE_M = 2.5  # how far away things are that a camera which looks at the floor sees
 _CLUSTER_M = 3.0
 """Things within cells of this size lean together: longer than a shelf, so that neighbours hardly share their lean."""
-_VAGUE_RAD = np.deg2rad(0.5)
-"""A mount measured by hand is as certain as this."""
+_VAGUE_RAD = np.deg2rad(0.5)  # a mount measured by hand is as certain as this
 _BORDER_SHARE = 0.9
 _MOST_CHECKED = 500
 _SURE = 13.8  # squared Mahalanobis distance in two dimensions that chance exceeds in 0.1 % of the cases

@@ -28,15 +28,11 @@ FEWEST_PIECES = 10
 ALPHAS = ("alpha1", "alpha2", "alpha3", "alpha4")
 SCALES = ("distance_scale", "turn_scale", "veer")
 _STANDS_M = 1e-6
-_LONGEST_NS = 1_000_000_000
-"""Where poses are further apart than this a piece ends: nobody knows what the robot did."""
-_TRUTH_SIGMA = np.array([1e-3, 1e-3])
-"""Error of the truth at each end of a piece: m, rad."""
+_LONGEST_NS = 1_000_000_000  # where poses are further apart than this a piece ends: nobody knows what the robot did
+_TRUTH_SIGMA = np.array([1e-3, 1e-3])  # error of the truth at each end of a piece: m, rad
 _PAIR_NS = 200_000_000
-_PRIOR_SIGMA = np.log(10.0)
-"""Of an alpha, as a logarithm: a factor of ten."""
-_KNOWN_DRIVES = 2.0
-"""As many drives as the sigmas of the constant errors in force count for."""
+_PRIOR_SIGMA = np.log(10.0)  # of an alpha, as a logarithm: a factor of ten
+_KNOWN_DRIVES = 2.0  # as many drives as the sigmas of the constant errors in force count for
 _TURNS = 5
 
 

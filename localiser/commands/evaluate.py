@@ -34,7 +34,7 @@ def evaluate(
 ) -> None:
     """Show what runs know of themselves and, where the truth is known, their errors.
 
-    Of runs that differ by their seed alone, median and worst too; the same run counts once.
+    The same run counts once. `localiser batch` has the median and the worst over seeds.
     """
     from localiser.evaluate import flat_figures, run_tables
     from localiser.replay import evaluate_run

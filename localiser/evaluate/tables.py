@@ -8,10 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
 
 from localiser.evaluate.metrics import ABOUT
 
@@ -148,8 +145,8 @@ def _width(table: Table, console: Console) -> int:
 class Column(NamedTuple):
     """A figure: its title in a table, its key in the metrics (dots for groups), how it is written, how it reads.
 
-    label, unit: of it alone, where a page shows it. worst: which of several is the worst. per: what the figure is
-    multiplied by. is_told_at_0: False for one that is left out where it is 0 in all runs.
+    label, unit: of it alone, where a page shows it. worst: which of several is the worst, in a batch. per: what it
+    is multiplied by. is_told_at_0: False for one that is left out where it is 0 in all runs.
     """
 
     title: str
@@ -181,13 +178,13 @@ class Column(NamedTuple):
 OWN = (
     Column("found\n(s)", "confidence.found_s", ".1f", "found after", " s"),
     Column("not found\nyet (%)", "confidence.not_found", ".1f", "not found yet", " %", per=100.0, is_told_at_0=False),
-    Column("sure\n(%)", "confidence.sure", ".1f", "images sure", " %", min, 100.0),
-    Column("match\n(%)", "edges_matched", ".0f", "edges matched", " %", min, 100.0),
+    Column("sure\n(%)", "confidence.sure", ".1f", "images sure", " %", per=100.0),
+    Column("match\n(%)", "edges_matched", ".0f", "edges matched", " %", per=100.0),
     Column("resid.\nχ²", "residuals.consistency", ".2f", "residuals (right: 1, below: cautious)"),
     Column("3σ\n(m)", "position_3sigma_median_m", ".3f", "3σ, median", " m"),
     Column("worst\n(m)", "position_3sigma_max_m", ".3f", "3σ, worst", " m"),
     Column("3σ\n(°)", "heading_3sigma_median_deg", ".2f", "3σ of heading", "°"),
-    Column("drive\n(m)", "distance_m", ".1f", "distance", " m", min),
+    Column("drive\n(m)", "distance_m", ".1f", "distance", " m"),
     Column("speed\n(m/s)", "speed_mean_m_s", ".2f", "mean speed", " m/s"),
     Column("gaps", "pauses", ".0f"),
     Column("image\n(ms)", "frame_ms_median", ".0f", "time an image", " ms"),
@@ -215,70 +212,25 @@ IN_TITLE = tuple(name for name in NAMES if name != "inputs")  # a fingerprint sa
 UNKNOWN = "–"
 
 
-class Row(NamedTuple):
-    """A run, or the median or worst of several: `metrics` of the one, `values` by key of the others."""
-
-    name: str
-    run: Metrics
-    values: Mapping[str, Value] | None = None
-    ends_group: bool = False
-
-    def cell(self, column: Column) -> str:
-        """Return a figure as it is written."""
-        return column.text(column.of(self.run) if self.values is None else self.values[column.key])
-
-
 def run_tables(runs: Mapping[str, Metrics]) -> Iterator[Table | str]:
-    """Yield what is the same for all named runs, then their tables; figures that no run knows are left out.
-
-    Of runs that differ by their seed alone, median and worst stand below them.
-    """
+    """Yield what is the same for all named runs, then their tables; figures that no run knows are left out."""
     values = {key: {_text(run.get(key)) for run in runs.values()} for key in NAMES}
     same = {key: next(iter(found)) for key, found in values.items() if len(found) == 1 and key in IN_TITLE}
     if shared := ", ".join(f"{key} {value}" for key, value in same.items() if value != UNKNOWN):
         yield shared
     differing = [key for key in values if len(values[key]) > 1]
-    rows = list(_rows(runs))
     for title, columns in TABLES.items():
-        known = [column for column in columns if any(column.is_known(column.of(row.run)) for row in rows)]
+        known = [column for column in columns if any(column.is_known(column.of(run)) for run in runs.values())]
         if not known:
             continue
         table = new_table(title, "run", *differing, *(column.title for column in known), texts=1 + len(differing))
-        for row in rows:
-            about = [_text(row.run.get(key)) if row.values is None else "" for key in differing]
-            figures = (row.cell(column) for column in known)
-            style = "bold" if row.values else None
-            table.add_row(_broken(row.name), *about, *figures, style=style, end_section=row.ends_group)
+        for name, run in runs.items():
+            figures = (column.text(column.of(run)) for column in known)
+            table.add_row(_broken(name), *(_text(run.get(key)) for key in differing), *figures)
         table.caption = "; ".join(NOTES[column.title] for column in known if column.title in NOTES) or None
         table.caption_justify = "left"
         yield ""
         yield table
-
-
-def summaries(runs: Sequence[Metrics]) -> dict[str, dict[str, Value]]:
-    """Return the median and the worst of each column over the runs that know it."""
-    median: dict[str, Value] = {}
-    worst: dict[str, Value] = {}
-    for column in (*OWN, *ERRORS):
-        known = [value for run in runs if (value := column.of(run)) is not None]
-        median[column.key] = float(np.median(known)) if known else None
-        worst[column.key] = column.worst(known) if known else None
-    return {"median": median, "worst": worst}
-
-
-def _rows(runs: Mapping[str, Metrics]) -> Iterator[Row]:
-    """Yield the runs, those of one kind together, and what several of a kind come to."""
-
-    def kind(run: tuple[str, Metrics]) -> tuple[str, ...]:
-        return tuple(_text(run[1].get(key)) for key in NAMES if key != "seed")
-
-    for _, group in groupby(sorted(runs.items(), key=kind), key=kind):
-        members = list(group)
-        for place, (name, run) in enumerate(members, 1):
-            yield Row(name, run, ends_group=place == len(members))
-        if len(members) > 1:
-            for name, values in summaries([run for _, run in members]).items():
-                yield Row(name, {}, values, ends_group=name == "worst")
 
 
 def _broken(name: str) -> str:

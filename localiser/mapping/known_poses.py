@@ -1,11 +1,8 @@
 """Landmarks from known poses: follow, triangulate, join, associate again; and of images too far apart to follow edges.
 
-Where images are far apart, an edge cannot be followed from one to the next. Every edge is a ray on the floor. Two rays
-of edges that look alike cross at a hypothesis. Its score compares two cases for every image: that it shows the
-hypothesis, at most once, and that its edges are of other things. Hypotheses are taken greedily, the likeliest first.
-Each claims its edges, and the rest must be explained by others. What two hypotheses explain nearly as well, such as the
-folds of a curtain, is given to neither, and a hypothesis that is left with too little is left out. Then landmarks
-compete for the edges of every image, until nothing changes.
+Where images are far apart, every edge is a ray on the floor, and rays of edges that look alike cross at hypotheses
+(docs/mapping.md). The score of a hypothesis compares two cases for every image: that it shows the hypothesis, at most
+once, and that its edges are of other things.
 """
 
 from __future__ import annotations
@@ -64,13 +61,11 @@ def reassociate(
 
 def _live(sightings: Sightings, built: Built, reach: int) -> list[Index]:
     """Return for each frame the landmarks that are seen within `reach` frames of it."""
+    from scipy.ndimage import binary_dilation
+
     seen: NDArray[np.bool_] = np.zeros((sightings.frames, len(built)), dtype=bool)
     seen[sightings.frame[built.used], built.of[built.used]] = True
-    near = seen.copy()
-    for step in range(1, reach + 1):
-        near[step:] |= seen[:-step]
-        near[:-step] |= seen[step:]
-    return [np.flatnonzero(row) for row in near]
+    return [np.flatnonzero(row) for row in binary_dilation(seen, np.ones((2 * reach + 1, 1)))]
 
 
 # -- until nothing changes --------------------------------------------------------------------------------------------

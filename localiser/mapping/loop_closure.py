@@ -1,21 +1,12 @@
 """Loop closure: find landmarks, built from tracks at different times, that are the same, and joins that are wrong.
 
-Drift of the robot makes the positions of landmarks uncertain, but most of this error is common to all landmarks that
-were seen at the same time. The joint covariance of the smoother contains this: the distance of a pair is measured in
-sigmas of their difference. Pairs must be compatible as a set, and of these the ones with the most certain difference
-are closed first. Each closure makes the others more certain.
+Most of the error of landmarks is common to all that were seen at one time, so the distance of a pair is measured in
+sigmas of their difference, by the joint covariance of the smoother. Pairs whose difference is vague must agree on how
+far it has moved [Neira, Tardós 2001]: each pair taken is a measurement of its own difference, which changes what the
+others should be, as in a Kalman filter. Where another set explains nearly as many pairs, neither is chosen.
 
-Drift moves everything that was seen at one time together, so pairs that are one agree on how far it has moved. Each
-pair that is taken to be one is a measurement that its two landmarks stand at one place. By the joint covariance of all
-differences it changes what the differences of the other pairs should be, as in a Kalman filter. The largest set of
-pairs in which each agrees with the others is the hypothesis [Neira, Tardós 2001]. Where another set explains nearly as
-many pairs, as among things that repeat at equal distances, neither is chosen.
-
-A wrong loop closure bends the poses until its bearings fit, so their residuals stay small. But the gradient of the cost
-at this visit is large. Suppose that the visit had its own landmark. Where this landmark would be, and by how much the
-cost would fall, follows from the linear problem at the solution, without solving it again [Rao 1948]. What wrong loops
-leave behind is a path that the wheels should have measured otherwise: by a constant error that is not credible, or by
-more than their noise over some stretch of the way.
+A wrong loop bends the poses until its bearings fit, so that their residuals stay small, but the gradient of the cost at
+this visit is large: it tells where a landmark of its own would be, and how far the cost would fall [Rao 1948].
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ def _far(pose: Array, other: Array) -> bool:
 Mask = NDArray[np.bool_]
 
 _PLAIN = ("points", "cov", "bottom_m", "top_m", "polarity")
-_QUALITY = ("sightings", "parallax_rad", "existence")
+_QUALITY = ("sightings", "parallax_rad", "existence", "profile")
 _CHI2_99 = 9.21  # squared Mahalanobis distance that holds 99 % of a Gaussian in the plane
 TWICE_M = 0.02
 """Landmarks nearer to each other are one to any camera here."""
@@ -177,11 +177,13 @@ def join_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
         number += ids[-1] == number
         taken.add(str(ids[-1]))
     extra = (*(first.extra or ({},) * len(first)), *(second.extra or ({},) * len(second)))
-    whole = replace(first, ids=(*first.ids, *ids), source=(*first.source, *second.source), extra=extra)
-    width = max(one.quality.profile.shape[1] if one.quality else 0 for one in (first, second))
-    pairs = zip(*(_columns(one, width).items() for one in (first, second)), strict=True)
-    columns = {name: np.concatenate([one, other]) for (name, one), (_, other) in pairs}
-    return _with_columns(whole, columns, has_quality=first.quality is not None or second.quality is not None)
+    both = (first, second)
+    columns: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in both]) for name in _PLAIN}
+    width = max(one.quality.profile.shape[1] if one.quality else 0 for one in both)
+    known = [_quality_of(one, width) for one in both]
+    quality = Quality(*(np.concatenate([getattr(one, name) for one in known]) for name in _QUALITY))
+    columns["quality"] = None if first.quality is None and second.quality is None else quality
+    return replace(first, ids=(*first.ids, *ids), source=(*first.source, *second.source), extra=extra, **columns)
 
 
 def fuse_maps(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64]) -> LandmarkMap:
@@ -193,31 +195,29 @@ def fuse_maps(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64])
     one, other = pairs.T
     seen = second.take(other)
     whole = join_maps(first, second.take(np.setdiff1d(np.arange(len(second)), other)))
-    columns = _columns(whole, whole.quality.profile.shape[1] if whole.quality else 0)
-    for name, values in _columns(seen, columns["profile"].shape[1]).items():
-        column = columns[name] = columns[name].copy()
+
+    def newer(name: str, before: Any, now: Any) -> Array:
+        column, values = getattr(before, name).copy(), getattr(now, name)
         unknown = values == 0 if name == "polarity" else np.isnan(values)
         column[one] = np.where(unknown, column[one], values)
+        return np.asarray(column)
+
+    columns: dict[str, Any] = {name: newer(name, whole, seen) for name in _PLAIN}
     columns["points"][one], columns["cov"][one] = fuse_places(first.points[one], first.cov[one], seen.points, seen.cov)
+    if whole.quality is not None:
+        now = _quality_of(seen, whole.quality.profile.shape[1])
+        columns["quality"] = Quality(*(newer(name, whole.quality, now) for name in _QUALITY))
     source = list(whole.source)
     for index, name in zip(one, seen.source, strict=True):
         source[index] = f"{source[index]}; {name}".strip("; ")
-    return _with_columns(replace(whole, source=tuple(source)), columns, has_quality=whole.quality is not None)
+    return replace(whole, source=tuple(source), **columns)
 
 
-def _columns(one: LandmarkMap, width: int) -> dict[str, Any]:
-    """Return what is known of each landmark (L), profiles as (L, width); those of another width are not known."""
+def _quality_of(one: LandmarkMap, width: int) -> Quality:
+    """Return how well landmarks (L) are known, with profiles (L, width); those of another width are not known."""
     quality = one.quality or Quality.unknown(len(one))
-    profile = quality.profile if quality.profile.shape[1] == width else np.full((len(one), width), np.nan)
-    return {name: getattr(quality if name in _QUALITY else one, name) for name in _PLAIN + _QUALITY} | {
-        "profile": profile
-    }
-
-
-def _with_columns(one: LandmarkMap, columns: dict[str, Any], *, has_quality: bool) -> LandmarkMap:
-    """Return a map with other columns, and a quality only where one of the maps that it was made of has one."""
-    plain = {name: columns.pop(name) for name in _PLAIN}
-    return replace(one, quality=Quality(**columns) if has_quality else None, **plain)
+    fits = quality.profile.shape[1] == width
+    return quality if fits else replace(quality, profile=np.full((len(one), width), np.nan))
 
 
 def fuse_places(first: Array, cov: Array, second: Array, other_cov: Array) -> tuple[Array, Array]:

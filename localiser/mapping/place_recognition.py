@@ -1,9 +1,8 @@
 """Place recognition: after large drift, find which group of landmarks has been seen before, as a whole.
 
-When drift exceeds the distance between landmarks, a single landmark can be identified by its appearance only. But drift
-moves everything that is seen at one time together, so the distances within a group of landmarks are kept. A group is
-moved rigidly to where most of it falls on older landmarks that look alike. This move must explain clearly more of the
-group than any other move.
+Drift moves everything that is seen at one time together, so the distances within a group of landmarks are kept. A group
+is moved rigidly to where most of it falls on older landmarks that look alike. This move must explain clearly more of
+the group than any other move.
 """
 
 from __future__ import annotations

@@ -22,8 +22,7 @@ from localiser.mapping.tracks import MappingParameters
 
 # -- errors that images of one direction share ------------------------------------------------------------------------
 
-_ANOTHER_SIDE_RAD = np.pi / 4
-"""The error is another one after half of a right angle: most things have four sides."""
+_ANOTHER_SIDE_RAD = np.pi / 4  # the error is another one after half of a right angle: most things have four sides
 
 
 def place_cov(sightings: Sightings, built: Built, cameras: Array, sigma: Array, place_sigma_m: float) -> Array:

@@ -1,12 +1,7 @@
 """SLAM: a map from a log alone, with robot poses and landmarks both unknown.
 
-1. Track edges with poses from the wheels, and smooth. Track again with the better poses and narrower gates, until gates
-   are as narrow as true poses allow. This removes errors of the wheels from frame to frame, but not drift.
-2. Close loops: join landmarks that are the same by the joint covariance, smooth, and open closures that turn out not to
-   fit, until no more are found.
-3. Associate every edge again, as with known poses, and smooth, until nothing changes.
-
-After each solve the feet of edges on the floor determine the scale.
+The steps are those of docs/mapping.md: track, with gates that narrow until they are as narrow as true poses allow;
+close loops, and open those that do not fit; associate again. After each solve, feet on the floor determine the scale.
 """
 
 from __future__ import annotations

@@ -4,10 +4,9 @@ Factors: odometry between consecutive frames, with a constant scale of distance 
 landmarks; priors on the constants, that of the distance scale from feet on the floor. The first pose is fixed and
 defines the frame. Levenberg-Marquardt over a sparse factorisation [Dellaert, Kaess 2006], robust by Cauchy's weights.
 
-Bearings alone do not determine the scale. A camera of known height sees the foot of an edge on the floor at an angle
-that gives its distance. If an edge ends above the floor (on a skirting board, on a table), or its foot is hidden, the
-foot appears to be farther away than it is. It never appears nearer. So the ratios of apparent to current distance have
-a sharp lower limit, which is the scale.
+Bearings alone do not determine the scale. A camera of known height sees the distance of an edge's foot on the floor. A
+foot above the floor, or a hidden one, appears farther away, never nearer. So the ratios of apparent to current distance
+have a sharp lower limit, which is the scale.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """Follow edges from image to image: how likely each edge is each landmark, a filter for each track, and parameters.
 
-The score of a pair is a log-likelihood ratio. It compares two cases: the edge is of the landmark, or the landmark is
-missed and the edge is of something unknown, anywhere in view. The score has two parts, the bearing and the appearance.
-
-Appearance is polarity and the grey values left and right of the edge. The grey value of a surface does not change. But
-at an outer corner one side shows what lies behind, and that depends on the viewpoint. So each side is similar with
-some probability, and otherwise it can have any value.
+The score of a pair is a log-likelihood ratio, by bearing and looks: the edge is of the landmark, or the landmark is
+missed and the edge is of something unknown, anywhere in view. Looks are polarity and the grey values left and right of
+the edge. At an outer corner one side shows what lies behind, so each side is similar with some probability, and can
+have any value otherwise.
 
 A track is a Kalman filter of the inverse-depth model: a direction from where the edge was first seen, and an inverse
 distance along it, which is nearly linear in what a camera measures, for near and far edges and for edges of unknown

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from localiser.evaluate.tables import fit_width, flat_figures, learnt_constants, run_tables, summaries
+from localiser.evaluate.tables import fit_width, flat_figures, learnt_constants, run_tables
 
 
 def run(log: str, observation: str, seed: int, rmse: float | None, edges: float = 10.0) -> dict[str, Any]:
@@ -35,36 +35,10 @@ def figures_of(runs: dict[str, dict[str, Any]], width: int = 160) -> list[str]:
     return [line for line in rendered(runs, width) if "cautious" not in line]
 
 
-def test_one_run_has_no_summary() -> None:
+def test_what_is_the_same_stands_above_the_table() -> None:
     lines = rendered({"results/house/1": run("house", "line", 0, 0.0416)})
     assert lines[0] == "log house, observation line, seed 0"
     assert lines[-2:] == ["results/house/1 0.042 0.030 3.0", "NEES: 3 is right, below: cautious"]
-    assert not any(line.startswith(("median", "worst")) for line in lines)
-
-
-def test_runs_of_one_kind_have_their_median_and_worst() -> None:
-    runs = {f"r{seed}": run("house", "line", seed, rmse) for seed, rmse in enumerate([0.02, 0.09, 0.03])}
-    lines = figures_of(runs | {"other": run("house", "slope", 0, 0.5)})
-    starts = [line.split()[0] for line in lines[-6:]]
-    assert starts == ["r0", "r1", "r2", "median", "worst", "other"]
-    assert lines[-3].split()[1] == "0.030"
-    assert lines[-2].split()[1] == "0.090"
-
-
-@pytest.mark.parametrize("what", ["association", "odometry", "inputs"])
-def test_only_runs_that_differ_by_their_seed_are_summed_up(what: str) -> None:
-    runs = [{**run("house", "line", seed, 0.1), what: "a"} for seed in (0, 1)]
-    assert any(line.startswith("median") for line in rendered({"r0": runs[0], "r1": runs[1]}))
-    lines = figures_of({"r0": runs[0], "r1": runs[1] | {what: "b"}})
-    assert not any(line.startswith("median") for line in lines)
-    assert any(what in line for line in lines)
-
-
-def test_unknown_figures_are_dashes_and_left_out_of_summaries() -> None:
-    known = summaries([run("h", "line", 0, None), run("h", "line", 1, 0.2), run("h", "line", 2, 0.1)])
-    assert known["median"]["position_rmse_m"] == pytest.approx(0.15)
-    assert known["worst"]["position_rmse_m"] == 0.2
-    assert known["worst"]["odometry_position_rmse_m"] is None
 
 
 OWN: dict[str, Any] = {
