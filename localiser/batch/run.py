@@ -50,7 +50,7 @@ class Outcome:
     error: str | None = None
 
 
-def replayed(task: Task) -> Outcome:
+def replay_task(task: Task) -> Outcome:
     """Replay, and return the metrics or the reason why not: a task that fails leaves the others alone."""
     import cv2
     import numba
@@ -97,12 +97,14 @@ class Workers:
         return _processes(self.jobs) if self.cluster is None else _dask(self.cluster)
 
 
-def each(function: Callable[..., Result], tasks: Iterable[tuple[object, ...]]) -> Iterator[Result]:
-    """Yield what the function returns for each task, as they are done. To be called while workers are ready."""
+def each(
+    function: Callable[..., Result], tasks: Iterable[tuple[object, ...]], *, in_order: bool = False
+) -> Iterator[Result]:
+    """Yield what the function returns for each task, in order or as they are done, while workers are ready."""
     from joblib import Parallel, delayed
 
     # One task at a time: they take seconds, and the last ones should not queue behind each other.
-    parallel = Parallel(batch_size=1, return_as="generator_unordered")
+    parallel = Parallel(batch_size=1, return_as="generator" if in_order else "generator_unordered")
     yield from parallel(delayed(function)(*task) for task in tasks)
 
 
@@ -189,13 +191,13 @@ def run_batch(
     with workers.ready():
         files = {name: getattr(batch.opening, name) for name in ("map_file", "camera")}
         opening = replace(batch.opening, **{name: path and path.absolute() for name, path in files.items()})
-        read = each(_contents_at, [(number, log.absolute(), opening) for number, log in enumerate(logs)])
-        contents = {logs[number]: found for number, found in read}
+        read = each(contents_of, [(log.absolute(), opening) for log in logs], in_order=True)
+        contents = dict(zip(logs, read, strict=True))
         runs = [_run_of(batch, log, contents[log], own_map, choice) for log in logs for choice in batch.choices]
         distinct: dict[str, _Run] = {}
         for run in runs:  # else it would count twice
             if run.error is None and (first := distinct.setdefault(run.folder, run)) is not run:
-                one, other = (f"{same.log} ({_told(same.about)})" for same in (first, run))
+                one, other = (f"{same.log} ({_choices_text(same.about)})" for same in (first, run))
                 problem = f"expected every run once, found the same content and settings twice: {one} and {other}"
                 raise InputError(problem)
         rows = _rows_done(batch.folder, runs)
@@ -208,7 +210,7 @@ def run_batch(
         ]
         advance = begun(sum(row["error"] is None for row in rows.values()), len(tasks))
         try:
-            for outcome in each(replayed, [(task,) for task in tasks]):
+            for outcome in each(replay_task, [(task,) for task in tasks]):
                 run = runs[outcome.number]
                 if outcome.metrics is None:
                     rows[outcome.number] = run.about | {"error": outcome.error}
@@ -225,10 +227,6 @@ def run_batch(
             if ordered := [rows[number] for number in sorted(rows)]:
                 write_text(batch.folder / CSV, csv_text(ordered))
     return ordered
-
-
-def _contents_at(number: int, log: Path, opening: Opening) -> tuple[int, Contents]:
-    return number, contents_of(log, opening)
 
 
 def _run_of(batch: Batch, log: Path, contents: Contents, own_map: str, choice: Choice) -> _Run:
@@ -253,7 +251,7 @@ def _run_of(batch: Batch, log: Path, contents: Contents, own_map: str, choice: C
     return _Run(contents, about, log, config, error)
 
 
-def _told(about: Row) -> str:
+def _choices_text(about: Row) -> str:
     chosen = [f"{name.removeprefix(CHOICE)}={value}" for name, value in about.items() if name.startswith(CHOICE)]
     config = [] if about["config"] is None else [str(about["config"])]
     return ", ".join([*config, *chosen, f"seed {about['seed']}"])

@@ -13,7 +13,6 @@ from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
 from localiser.mapping.build import MapBuilt
 from localiser.mapping.landmarks import Built
 from localiser.mapping.merge import common_landmarks, fuse_maps
-from localiser.mapping.quality import span_rad
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
 
 # -- check ------------------------------------------------------------------------------------------------------------
@@ -128,10 +127,8 @@ def existence_after(
     """Return the probability (L,) that landmarks exist, after a log from cameras at (T, 3); nan where unknown before.
 
     For landmarks that the log's own build does not have. A frame counts only if a landmark farther away was seen next
-    to it, because otherwise a wall may hide it, and if none was seen right at its place, because then its own edge may
-    be part of that one's. In each, log-odds grow by ln(p / q) where an edge is at its place and by
-    ln((1 - p) / (1 - q)) where none is; p is the chance `found` that an edge that is there is found, q that some other
-    edge is there.
+    to it, because otherwise a wall may hide it, and if no edge was seen right at its place, which may be its own. In
+    each, log-odds grow by ln(1 - p); p is the chance `found` that an edge that is there is found.
     """
     limits = SightParameters(length_min_px=30.0, margin_px=-10.0)
     views = sight(camera, cameras, landmark_map, limits)
@@ -140,8 +137,7 @@ def existence_after(
     cov = np.nan_to_num(landmark_map.cov)[views.landmark]
     gate = _GATE_SIGMA * np.sqrt(np.einsum("pi,pij,pj->p", jacobian, cov, jacobian) + _POSE_RAD**2)
     first = np.searchsorted(views.pose, np.arange(sightings.frames + 1))
-    span = span_rad(camera)
-    gain, clear = np.zeros(len(landmark_map)), np.zeros(len(landmark_map), dtype=bool)
+    missed = np.zeros(len(landmark_map))
     for frame in range(sightings.frames):
         row = np.arange(first[frame], first[frame + 1])
         seen = np.arange(sightings.first[frame], sightings.first[frame + 1])
@@ -151,15 +147,8 @@ def existence_after(
         beside = np.abs(bearing[:, None] - sightings.bearing[known][None]) < _BESIDE_RAD
         row_is_clear = (beside & (beyond[None] > views.range_m[row][:, None] + _BEHIND_M)).any(axis=1)
         at_place = np.abs(bearing[:, None] - sightings.bearing[seen][None]) < gate[row][:, None]
-        foreign = built.of[seen] < 0
-        row_is_clear &= ~at_place[:, ~foreign].any(axis=1)
-        hit = at_place[:, foreign].any(axis=1)
-        chance = np.clip(1.0 - np.exp(-foreign.sum() / span * 2 * gate[row]), 0.01, found)
-        step = np.where(hit, np.log(found / chance), np.log((1 - found) / (1 - chance)))
-        landmark = views.landmark[row]
-        gain[landmark] += np.where(row_is_clear, step, 0.0)
-        clear[landmark] |= row_is_clear
+        missed[views.landmark[row]] += row_is_clear & ~at_place.any(axis=1)
     before = (landmark_map.quality or Quality.unknown(len(landmark_map))).existence
     stated = np.clip(np.where(np.isnan(before), _UNKNOWN, before), 1e-5, 1 - 1e-5)
-    odds = np.clip(np.log(stated / (1 - stated)) + gain, -_MOST_ODDS, _MOST_ODDS)
-    return np.where(clear, 1.0 / (1.0 + np.exp(-odds)), before)
+    odds = np.clip(np.log(stated / (1 - stated)) + missed * np.log(1 - found), -_MOST_ODDS, _MOST_ODDS)
+    return np.where(missed > 0, 1.0 / (1.0 + np.exp(-odds)), before)

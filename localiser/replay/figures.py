@@ -297,7 +297,7 @@ def about(run: Results) -> dict[str, Any]:
     }
 
 
-def described(run: Results) -> str:
+def run_yaml(run: Results) -> str:
     """Return as YAML what a run was made from; see `config.yaml` for its settings."""
     log, landmark_map, identity = run.log, run.localiser.landmark_map, run.identity
     data: dict[str, Any] = {

@@ -20,7 +20,7 @@ from localiser.evaluate import WorstMoments, write_report
 from localiser.filter import LocatedFrame
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.replay.figures import described, run_metrics, truth_of
+from localiser.replay.figures import run_metrics, run_yaml, truth_of
 from localiser.replay.run import Replay, Sink, all_of, close_all
 from localiser.ros import OUTPUTS, Message, Outgoing
 from localiser.storage import Log, RunFolder, TrackWriter, json_text, require_new_file, write_text
@@ -220,7 +220,7 @@ class FolderRun:
         asked = Stop()
         try:
             write_text(self.folder.path / "config.yaml", to_yaml(in_force(self.replay.localiser.config), ["live"]))
-            write_text(self.folder.path / "run.yaml", described(self.replay))
+            write_text(self.folder.path / "run.yaml", run_yaml(self.replay))
             with asked_to_stop() as asked:
 
                 def after_each() -> None:

@@ -34,13 +34,13 @@ def log(tmp_path: Path) -> Path:
 def began(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return a list that gets the seed of every run that is begun."""
     seeds: list[int] = []
-    real = run.replayed
+    real = run.replay_task
 
     def counted(task: Any) -> Any:
         seeds.append(task.config.seed)
         return real(task)
 
-    monkeypatch.setattr(run, "replayed", counted)
+    monkeypatch.setattr(run, "replay_task", counted)
     return seeds
 
 
