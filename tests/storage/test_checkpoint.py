@@ -201,7 +201,7 @@ def test_state_with_other_fields_is_refused(saved: Path, tmp_path: Path) -> None
 
 def test_sizes_are_checked_before_memory_is_taken(saved: Path, tmp_path: Path) -> None:
     content = decode(Any, body_of(saved))
-    content[4]["particles"]["columns"][1] = [2**34]
+    content[3]["particles"]["columns"][1] = [2**34]
     (tmp_path / "file").write_bytes(sealed(encode(content)))
     tracemalloc.start()
     with pytest.raises(InputError, match=r"expected an array of \[17179869184\] <f8, found"):
