@@ -27,7 +27,7 @@ from live_processes import free_domain  # noqa: E402
 
 from localiser.config import LiveParameters  # noqa: E402
 from localiser.live import open_transport  # noqa: E402
-from localiser.live.transport import Topic  # noqa: E402
+from localiser.ros import Topic  # noqa: E402
 from localiser.storage.bags import RosType, stamp_of, typestore  # noqa: E402
 
 RATE_HZ = 20.0

@@ -18,7 +18,8 @@ from threading import Event, Thread
 from localiser.config import LiveParameters
 from localiser.live import Passage, StandIn, open_transport
 from localiser.live.stand_in import IMAGE, TRUTH, WHEELS
-from localiser.live.transport import Topic, Transport
+from localiser.live.transport import Transport
+from localiser.ros import Topic
 from localiser.storage import open_log
 from localiser.storage.bags import RosType, floor_pose, stamp_of, typestore
 

@@ -75,7 +75,7 @@ def test_what_the_launch_file_sets_is_read() -> None:
 
 def test_two_robots_publish_on_topics_of_their_own() -> None:
     names = read_config(None, [text for text in settings()[0] if "publish" in text]).live.publish
-    first, second = ({one.topic for one in outputs_named(names, robot).values()} for robot in ("/robot1", "/robot2"))
+    first, second = ({one.name for one in outputs_named(names, robot).values()} for robot in ("/robot1", "/robot2"))
     assert not first & second
 
 

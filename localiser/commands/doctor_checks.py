@@ -168,9 +168,18 @@ def heard_checks(heard: Heard, camera: Camera, config: Config) -> Iterator[Findi
     if len(wheels) < 2:
         return
     track = Trajectory(np.array(sorted(wheels)), np.array([wheels[t_ns] for t_ns in sorted(wheels)]))
-    fits = (camera.height, camera.width)
-    images = [(t_ns, image) for t_ns, image in _images(heard, camera) if image.shape == fits]
-    yield from edge_checks([t_ns for t_ns, _ in images], lambda k: images[k][1], track, camera, config)
+    size, images = (camera.width, camera.height), {}
+    for _, message in heard.messages("image"):
+        with suppress(ValueError, InputError):
+            image = grey_image(message)
+            if image is None:
+                file = image_file(message)
+                check_whole(file, size, path=_SOURCE)
+                image = decoded(file, size, path=_SOURCE)
+            if image.shape == size[::-1]:
+                images[stamp_of(message)] = image
+    times = list(images)
+    yield from edge_checks(times, lambda k: images[times[k]], track, camera, config)
 
 
 def edge_checks(
@@ -209,20 +218,6 @@ def offset_finding(
     if found.problem:
         text = "the turns do not tell the offset of images against wheels: the robot must turn for a while"
     return Finding("offset of clocks", "warning" if found.disagrees() else "ok", text)
-
-
-def _images(heard: Heard, camera: Camera) -> list[tuple[int, Image]]:
-    """Return stamp and pixels (H, W) of the images that can be read."""
-    size, found = (camera.width, camera.height), []
-    for _, message in heard.messages("image"):
-        with suppress(ValueError, InputError):
-            image = grey_image(message)
-            if image is None:
-                file = image_file(message)
-                check_whole(file, size, path=_SOURCE)
-                image = decoded(file, size, path=_SOURCE)
-            found.append((stamp_of(message), image))
-    return found
 
 
 # -- a log ------------------------------------------------------------------------------------------------------------

@@ -63,11 +63,6 @@ def dds_name(topic: Topic) -> str:
     return f"rt/{checked_name(topic.name)}"
 
 
-def ros_type(name: str) -> str:
-    """Return the type of messages of ROS 2 that has a name in DDS, such as nav_msgs/msg/Odometry."""
-    return name.replace("::msg::dds_::", "/msg/").removesuffix("_")
-
-
 @cache
 def raw_type(msgtype: str) -> Any:
     """Return a type of messages whose samples are their own bytes, and whose fields others can compare with theirs."""
@@ -252,6 +247,9 @@ class DdsTransport:
         self._node = Node(self._participant, node, namespace or "/", humble)
         self._readers = Readers(self._participant, self._tell)
 
+    def _tell(self, problem: str) -> None:
+        self._report(problem)  # who takes reports may still change
+
     def is_joined(self) -> bool:
         """See `Transport`."""
         return True
@@ -259,9 +257,6 @@ class DdsTransport:
     def report_to(self, report: Callable[[str], None]) -> None:
         """See `Transport`."""
         self._report = report
-
-    def _tell(self, problem: str) -> None:
-        self._report(problem)  # who takes reports may still change
 
     def subscribe(self, topic: Topic, take: Take) -> None:
         """See `Transport`."""
@@ -296,7 +291,8 @@ class DdsTransport:
         own, known = self._participant.get_guid(), set[str]()
 
         def found(publication: Any) -> None:
-            name, msgtype = publication.topic_name or "", ros_type(publication.type_name or "")
+            name, kind = publication.topic_name or "", publication.type_name or ""
+            msgtype = kind.replace("::msg::dds_::", "/msg/").removesuffix("_")
             if publication.participant_key == own or not name.startswith("rt/") or name in known:
                 return
             known.add(name)

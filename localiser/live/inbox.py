@@ -18,8 +18,7 @@ import numpy as np
 
 from localiser.documents import nearest, text_of
 from localiser.errors import InputError
-from localiser.live.transport import Topic
-from localiser.ros import Output, topic_in
+from localiser.ros import Topic, topic_in
 from localiser.storage import encode_image, open_stream
 from localiser.storage.bags import RosType, typestore
 
@@ -155,15 +154,15 @@ def input_topics(asked: Mapping[str, str], namespace: str = "") -> dict[str, str
     return topics
 
 
-def check_outputs(topics: Mapping[str, str], outputs: Mapping[str, Output]) -> None:
+def check_outputs(topics: Mapping[str, str], outputs: Mapping[str, Topic]) -> None:
     """Check that nothing goes out on a topic that comes in, nor two things on one topic. Raises InputError.
 
     topics: of what comes in, by role. All transforms that move are on one topic, those of the robot and our own.
     """
-    shared = outputs["tf"].topic if "tf" in outputs else None
+    shared = outputs["tf"].name if "tf" in outputs else None
     incoming = {role: name for role, name in topics.items() if (role, name) != ("moving_transforms", shared)}
     named = [(f"what comes in as {role}", "live.topics", name) for role, name in incoming.items()]
-    _check_apart(named + [(f"what goes out as {kind}", "live.publish", one.topic) for kind, one in outputs.items()])
+    _check_apart(named + [(f"what goes out as {kind}", "live.publish", one.name) for kind, one in outputs.items()])
 
 
 def _check_apart(named: list[tuple[str, str, str]]) -> None:

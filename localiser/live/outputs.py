@@ -24,9 +24,9 @@ from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.live.inbox import Arrival, type_of
 from localiser.live.monitor import Monitor
-from localiser.live.transport import Topic, Transport
+from localiser.live.transport import Transport
 from localiser.replay import Sink
-from localiser.ros import Frames, Message, Outgoing, Output
+from localiser.ros import Frames, Message, Outgoing, Topic
 from localiser.storage.bags import DECISIONS_TOPIC, BagRecorder, Messages, RosType
 
 MOST_LINES = 1000
@@ -117,22 +117,17 @@ class Publisher:
     """
 
     transport: Transport
-    outputs: Mapping[str, Output]
+    outputs: Mapping[str, Topic]
     frames: Frames = field(default_factory=lambda: Frames(odom=""))
     tolerance_ns: int = 200_000_000
     record: Record | None = None
     _outgoing: Outgoing | None = None
-    _topics: dict[str, Topic] = field(init=False)
     _newest_ns: int = -1
     _followed_ns: int = -1
     _odometry_frame: str = ""
 
     def __post_init__(self) -> None:
-        self._topics = {
-            kind: Topic(output.topic, output.msgtype, latched=output.latched, depth=output.depth)
-            for kind, output in self.outputs.items()
-        }
-        for topic in self._topics.values():
+        for topic in self.outputs.values():
             self.transport.advertise(topic)
 
     def begin(self, landmark_map: LandmarkMap, camera: Camera, stamp_ns: int) -> None:
@@ -182,11 +177,11 @@ class Publisher:
             self._outgoing.frames = replace(self._outgoing.frames, odom=self._odometry_frame)
 
     def _is_wanted(self, kind: str) -> bool:
-        return (self.record is not None and kind in RECORDED) or self.transport.is_heard(self._topics[kind])
+        return (self.record is not None and kind in RECORDED) or self.transport.is_heard(self.outputs[kind])
 
     def _send(self, messages: list[Message]) -> None:
         for message in messages:
-            topic = self._topics[message.kind]
+            topic = self.outputs[message.kind]
             self.transport.publish(topic, message.content)
             if self.record is not None:
                 self.record(topic.name, topic.msgtype, message.content)

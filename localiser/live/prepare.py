@@ -28,7 +28,7 @@ from localiser.live.tracker import Checkpoints, Resumed, Tracker
 from localiser.live.transport import Reply, Transport, network_of, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings
 from localiser.replay import close_all
-from localiser.ros import SERVICES, Frames, Output, outputs_named, topic_in
+from localiser.ros import SERVICES, Frames, Topic, outputs_named, topic_in
 from localiser.storage import encode_image, map_text, read_camera, read_maps
 from localiser.storage.bags import CAMERA_TOPIC, LOG_TOPIC, MAP_TOPIC, CameraFinder, Messages, live_label_text
 
@@ -176,7 +176,7 @@ def start_recording(
     options: LiveOptions,
     landmark_map: LandmarkMap,
     topics: Mapping[str, str],
-    outputs: Mapping[str, Output],
+    outputs: Mapping[str, Topic],
     failed: Callable[[str], None],
 ) -> Recording | None:
     """Return the recording that was asked for, with what a replay needs: settings, map, camera file.
@@ -185,7 +185,7 @@ def start_recording(
     """
     if options.record is None:
         return None
-    latched = {output.topic for output in outputs.values() if output.latched}
+    latched = {output.name for output in outputs.values() if output.latched}
     recording = Recording(options.record, failed, latched | {topics["transforms"], LOG_TOPIC, MAP_TOPIC, CAMERA_TOPIC})
     texts = {
         LOG_TOPIC: live_label_text(options.record.stem, _changed_settings(options.config), topics),

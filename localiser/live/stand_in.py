@@ -13,7 +13,8 @@ import numpy as np
 
 from localiser.errors import InputError
 from localiser.geometry import Trajectory
-from localiser.live.transport import Topic, Transport
+from localiser.live.transport import Transport
+from localiser.ros import Topic
 from localiser.storage import ImageEvent, Log, require_odometry
 from localiser.storage.bags import MAP, ODOM, Messages, RosType
 

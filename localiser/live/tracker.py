@@ -268,7 +268,10 @@ class Tracker:
         """Weigh one image, or find the edges of one that waits for the wheels."""
         if self.localiser is None:
             return
-        frame = self.timeline.next(self._affordable(), self.clocks.now_ns)
+        affordable = 1  # images that there is time for until the wheels report again
+        if min(len(self._costs_s), len(self._intervals_s)) >= 5:
+            affordable = int(median(self._intervals_s) / median(self._costs_s))
+        frame = self.timeline.next(affordable, self.clocks.now_ns)
         if frame is not None:
             self._weigh(self.localiser, frame)
             return
@@ -277,12 +280,6 @@ class Tracker:
             return
         if self.finder.mount_reaches(waiting.stamp_ns):
             self._find_edges(self.localiser, waiting)
-
-    def _affordable(self) -> int:
-        """Return how many images there is time for until the wheels report again."""
-        if len(self._costs_s) < 5 or len(self._intervals_s) < 5:
-            return 1
-        return int(median(self._intervals_s) / median(self._costs_s))
 
     def _find_edges(self, localiser: Localiser, frame: Frame) -> None:
         """Find the edges of an image; an image that is damaged is left out."""

@@ -5,33 +5,17 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 from localiser.config import MOST_DOMAIN, LiveParameters
 from localiser.errors import InputError
-from localiser.ros import Service
+from localiser.ros import Service, Topic
 
 Take = Callable[[bytes, bytes], None]
 """Takes a message (CDR) and the identity of who sent it (empty where the transport does not tell), in any thread."""
 
 Reply = Callable[[bytes], None]
 """Answers one request of a service; from any thread, once."""
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """A topic with its quality of service, as ROS 2 has it. name: begins with a slash. msgtype: `pkg/msg/Name`.
-
-    latched: transient local, the last messages are kept for those who subscribe later. reliable: else best effort.
-    depth: how many messages are kept.
-    """
-
-    name: str
-    msgtype: str
-    latched: bool = False
-    reliable: bool = True
-    depth: int = 10
 
 
 class Transport(Protocol):

@@ -64,7 +64,9 @@ class ZenohLink:
             self._session = self._open()
         except _zenoh().ZError as error:
             if not (wait and _UNREACHABLE in str(error)):
-                raise self._refused(error) from None
+                where, reason = ", ".join([*self._connect, *self._listen]), str(error).split(" at /")[0]
+                problem = f"expected endpoints such as {ENDPOINT} that can be reached, found {where}: {reason}"
+                raise InputError(problem, field="zenoh") from None
             self._thread = Thread(target=self._try_again, name="zenoh", daemon=True)
             self._thread.start()
 
@@ -124,13 +126,6 @@ class ZenohLink:
             for act in waiting:
                 act(session)
             return
-
-    def _refused(self, error: Exception) -> InputError:
-        where = ", ".join([*self._connect, *self._listen])
-        reason = str(error).split(" at /")[0]
-        return InputError(
-            f"expected endpoints such as {ENDPOINT} that can be reached, found {where}: {reason}", field="zenoh"
-        )
 
 
 def _from_file(path: Path) -> Any:

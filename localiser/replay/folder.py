@@ -132,11 +132,11 @@ class ReplayBag:
             self._write(bag, message)
         if odometry is not None:
             driven = self._make.encode(self._make.robot_in_odometry(t_ns, odometry))
-            bag.write(OUTPUTS["tf"].topic, RosType.TRANSFORMS, t_ns, driven)
+            bag.write(OUTPUTS["tf"].name, RosType.TRANSFORMS, t_ns, driven)
 
     def _write(self, bag: NewBag, message: Message) -> None:
         output = OUTPUTS[message.kind]
-        bag.write(output.topic, output.msgtype, message.stamp_ns, message.content, latched=output.latched)
+        bag.write(output.name, output.msgtype, message.stamp_ns, message.content, latched=output.latched)
 
 
 # -- stopping between two images --------------------------------------------------------------------------------------

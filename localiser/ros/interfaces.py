@@ -21,29 +21,31 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
-    """A topic that is published. latched: the last message is kept for late subscribers (transient local).
+class Topic:
+    """A topic with its quality of service, as ROS 2 has it. name: begins with a slash. msgtype: `pkg/msg/Name`.
 
-    depth: how many messages a subscriber keeps by default (history of the quality of service).
+    latched: transient local, the last messages are kept for those who subscribe later. reliable: else best effort.
+    depth: how many messages are kept.
     """
 
-    topic: str
+    name: str
     msgtype: str
     latched: bool = False
+    reliable: bool = True
     depth: int = 10
 
 
 OUTPUTS = {
-    "pose": Output("/localiser/pose", RosType.POSE, latched=True, depth=1),
-    "tf": Output("/tf", RosType.TRANSFORMS, depth=100),
-    "particles": Output("/localiser/particles", RosType.POSES),
-    "map": Output(MAP_TOPIC, RosType.TEXT, latched=True, depth=1),
-    "landmarks": Output("/localiser/landmarks", RosType.MARKERS, latched=True, depth=1),
-    "matches": Output("/localiser/matches", RosType.MARKERS),
-    "path": Output("/localiser/path", RosType.PATH),
-    "places": Output("/localiser/places", RosType.TEXT),
-    "image": Output("/localiser/image/compressed", RosType.COMPRESSED),
-    "diagnostics": Output("/diagnostics", RosType.DIAGNOSTICS),
+    "pose": Topic("/localiser/pose", RosType.POSE, latched=True, depth=1),
+    "tf": Topic("/tf", RosType.TRANSFORMS, depth=100),
+    "particles": Topic("/localiser/particles", RosType.POSES),
+    "map": Topic(MAP_TOPIC, RosType.TEXT, latched=True, depth=1),
+    "landmarks": Topic("/localiser/landmarks", RosType.MARKERS, latched=True, depth=1),
+    "matches": Topic("/localiser/matches", RosType.MARKERS),
+    "path": Topic("/localiser/path", RosType.PATH),
+    "places": Topic("/localiser/places", RosType.TEXT),
+    "image": Topic("/localiser/image/compressed", RosType.COMPRESSED),
+    "diagnostics": Topic("/diagnostics", RosType.DIAGNOSTICS),
 }
 """Every kind by its name, with the topic that it has unless another is asked for."""
 
@@ -56,7 +58,7 @@ def topic_in(namespace: str, name: str | None) -> str:
     return name or "" if not name or name.startswith("/") else f"{namespace}/{name}"
 
 
-def outputs_named(names: Mapping[str, str | None] | None = None, namespace: str = "") -> dict[str, Output]:
+def outputs_named(names: Mapping[str, str | None] | None = None, namespace: str = "") -> dict[str, Topic]:
     """Return all outputs, some with topics of another name; None leaves an output out.
 
     namespace: of all topics but those that are named with a leading slash. Raises InputError for an unknown kind.
@@ -66,10 +68,10 @@ def outputs_named(names: Mapping[str, str | None] | None = None, namespace: str 
         if kind not in OUTPUTS:
             raise InputError(f"unknown kind of message; {nearest(kind, list(OUTPUTS))}", field="live.publish")
     asked = {
-        kind: replace(output, topic=topic_in(namespace, names.get(kind, output.topic.removeprefix("/"))))
+        kind: replace(output, name=topic_in(namespace, names.get(kind, output.name.removeprefix("/"))))
         for kind, output in OUTPUTS.items()
     }
-    return {kind: output for kind, output in asked.items() if output.topic}
+    return {kind: output for kind, output in asked.items() if output.name}
 
 
 _NOTHING = "uint8 structure_needs_at_least_one_member"

@@ -13,7 +13,7 @@ from live_processes import free_domain, wait_until
 
 from localiser.config import LiveParameters
 from localiser.live import open_transport
-from localiser.live.transport import Topic
+from localiser.ros import Topic
 from localiser.storage.bags import Messages, RosType, floor_pose, typestore
 from localiser.storage.bags.messages import stated_size
 

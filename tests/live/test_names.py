@@ -24,8 +24,8 @@ def test_a_namespace_holds_what_is_named_without_a_leading_slash() -> None:
     assert list(topics) == list(TOPICS)
     assert topics["clock"] == "/clock", "as every node of ROS has it"
     assert input_topics({"clock": "time"}, "/robot1")["clock"] == "/robot1/time"
-    assert outputs_named({"pose": "amcl_pose"}, "/robot1")["pose"].topic == "/robot1/amcl_pose"
-    assert outputs_named({"pose": "/amcl_pose"}, "/robot1")["pose"].topic == "/amcl_pose"
+    assert outputs_named({"pose": "amcl_pose"}, "/robot1")["pose"].name == "/robot1/amcl_pose"
+    assert outputs_named({"pose": "/amcl_pose"}, "/robot1")["pose"].name == "/amcl_pose"
 
 
 @pytest.mark.parametrize("name", ["/odom", "odom", "/odom/"])

@@ -22,7 +22,7 @@ from short_log import CORRIDOR, Localiser
 
 from localiser.config import LiveParameters
 from localiser.live import open_transport
-from localiser.live.transport import Topic
+from localiser.ros import Topic
 from localiser.storage import open_log, read_track
 from localiser.storage.bags import RosType
 

@@ -186,7 +186,7 @@ def test_diagnostics_say_how_far_to_trust_the_pose(frames: list[LocatedFrame], p
     assert status.level == level and float(values["p_correct"]) == p_correct and values["bad image"] == "3"
 
 
-TOPICS = {output.topic: output for output in (*OUTPUTS.values(), outputs_named({"pose": "amcl_pose"})["pose"])}
+TOPICS = {output.name: output for output in (*OUTPUTS.values(), outputs_named({"pose": "amcl_pose"})["pose"])}
 OTHERS = {"/initialpose", "/camera/image_raw/compressed"}
 
 

@@ -77,7 +77,8 @@ class Bag:
         """Open a bag and read which topics it has. Raises InputError."""
         self.path, self.broken = path, ""
         self._files, self._mode = _files_of(path)
-        sizes = {(found.st_dev, found.st_ino): found.st_size for found in map(Path.stat, self._on_disk())}
+        on_disk = [found for file in self._files for end in ("", *BESIDE) if (found := beside(file, end)).is_file()]
+        sizes = {(found.st_dev, found.st_ino): found.st_size for found in map(Path.stat, on_disk)}
         self._size = sum(sizes.values())
         self._reader: tuple[int, Records | Database] | None = None
         self._closing = ExitStack()
@@ -124,10 +125,6 @@ class Bag:
                 except BrokenOffError as error:
                     where = f"{self._files[number].name}: " if len(self._files) > 1 else ""
                     self.broken = self.broken or f"{where}{error}"
-
-    def _on_disk(self) -> Iterator[Path]:
-        for file in self._files:
-            yield from (found for ending in ("", *BESIDE) if (found := beside(file, ending)).is_file())
 
     def _open(self, number: int, allowance: Allowance) -> Records | Database:
         """Return the reader of one of the files; the one before is closed."""

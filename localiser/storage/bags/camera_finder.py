@@ -177,7 +177,11 @@ class CameraFinder:
         if not len(self._inertial):
             return mounts
         usual = self.made().mount
-        return [self._levelled(mount or usual, t_ns) for mount, t_ns in zip(mounts, times_ns, strict=True)]
+        levelled: list[Mount | None] = []
+        for mount, t_ns in zip(mounts, times_ns, strict=True):
+            optical_from_sensor = self._tree.between(self._optical, self._inertial.frame, t_ns)
+            levelled.append(self._inertial.mount(mount or usual, optical_from_sensor[:3, :3], t_ns))
+        return levelled
 
     def mount_reaches(self, stamp_ns: int) -> bool:
         """Whether all transforms of a mount that moves are known at a time or later; True where it does not move."""
@@ -186,11 +190,6 @@ class CameraFinder:
     def mount_at(self, stamp_ns: int) -> Mount | None:
         """Return the mount at a time, None where it does not move. Raises ValueError."""
         return mount_of(self._tree, self._base, self._optical, stamp_ns) if self._moving_links() else None
-
-    def _levelled(self, mount: Mount, t_ns: int) -> Mount:
-        """Return the mount at a time with tilt and roll by the inertial sensor."""
-        optical_from_sensor = self._tree.between(self._optical, self._inertial.frame, t_ns)
-        return self._inertial.mount(mount, optical_from_sensor[:3, :3], t_ns)
 
     def _moving_links(self) -> list[Link]:
         return [] if self.is_given else mount_links(self._tree, self._base, self._optical)

@@ -107,12 +107,7 @@ def _stated_topics(bag: Bag) -> Mapping[str, str]:
     """Return which topics a live run listened to, by what they are for, if the bag is a recording of one."""
     stated = [topic for topic in bag.topics if (topic.name, topic.msgtype) == (LOG_TOPIC, RosType.TEXT)]
     message = next(bag.messages(stated), None)
-    return {} if message is None else _label(bag.path, message).topics or {}
-
-
-def _label(path: Path, message: Message) -> Label:
-    """Return name and settings of a log. Raises InputError."""
-    return validate(_document(path, message), Label)
+    return {} if message is None else validate(_document(bag.path, message), Label).topics or {}
 
 
 def _document(path: Path, message: Message) -> Document:
@@ -225,13 +220,12 @@ class _Content:
             self._take_text(role, message)
 
     def _take_text(self, role: str, message: Message) -> None:
-        content = message.content
         if role == DECISIONS_TOPIC:
-            self.decisions.take(content.data)
+            self.decisions.take(message.content.data)
         elif role == STATE_TOPIC:
-            self.resumed = b64decode(content.data, validate=True)
+            self.resumed = b64decode(message.content.data, validate=True)
         elif role == LOG_TOPIC:
-            self.label = _label(self.path, message)
+            self.label = validate(_document(self.path, message), Label)
         elif role == MAP_TOPIC:
             self.landmark_map = map_from_document(_document(self.path, message))
         elif role == CAMERA_TOPIC and self.finder.camera is None:
