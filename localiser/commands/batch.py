@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import BagCamera, Topics, is_quiet, progress, show, topics_by_role, working
+from localiser.commands.options import BagCamera, Topics, is_quiet, progress, show, topics_by_role, warn, working
 
 if TYPE_CHECKING:
     from localiser.batch import Verdict
@@ -112,7 +112,7 @@ def _tell(verdict: Verdict) -> None:
         show(comparison_table(verdict))
     for alone, where in ((verdict.alone, "here"), (verdict.alone_there, "there")):
         if alone:
-            typer.secho(f"{alone} runs are only {where} and were not compared.", fg="yellow", err=True)
+            warn(f"{alone} runs are only {where} and were not compared.")
     if verdict.newly_failed:
         typer.secho(f"{len(verdict.newly_failed)} runs failed that did not fail there.", fg="red", err=True)
     if not is_quiet():

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from localiser.commands.options import show
+from localiser.commands.options import show, warn
 from localiser.errors import InputError
 
 EPILOG = """Examples:
@@ -55,9 +55,7 @@ def evaluate(
         typer.echo(f"Aligned: the truth was moved and turned onto each run, by {align}.")
     for name, found in figures.items():
         if found.get("complete") is False:
-            typer.secho(
-                f"{name} ended early: its figures are those of {found.get('frames')} frames.", fg="yellow", err=True
-            )
+            warn(f"{name} ended early: its figures are those of {found.get('frames')} frames.")
 
 
 def _names(runs: list[Path]) -> list[str]:

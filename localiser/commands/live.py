@@ -247,8 +247,7 @@ def say(console: Console, text: str, level: str) -> None:
 
 def end_table(run: LiveRun) -> Table:
     """Return what a run came to: its figures, what was wrong how often, and what was left out."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
+    from localiser.evaluate import new_table
 
     monitor, timeline = run.outputs.monitor, run.tracker.timeline
     left_out = {**timeline.skipped, **{f"{role} dropped": count for role, count in run.inbox.dropped.items()}}
@@ -257,9 +256,7 @@ def end_table(run: LiveRun) -> Table:
     rows = monitor.rows()
     for title, counts in (("warning", monitor.wrong), ("left out", left_out)):
         rows |= {f"{title}: {kind}": str(count) for kind, count in counts.items()}
-    table = Table(title="Live run", title_justify="left", box=SIMPLE_HEAD, show_header=False, pad_edge=False)
-    table.add_column("figure")
-    table.add_column("value", justify="right")
+    table = new_table("Live run", "figure", "value")
     for label, text in rows.items():
         table.add_row(label, text)
     return table

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import ConfigFile, Overrides, is_quiet, open_with_settings, progress, show
+from localiser.commands.options import ConfigFile, Overrides, is_quiet, open_with_settings, progress, show, warn
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -156,5 +156,4 @@ def _show(drives: list[Checked], found: OdometryFit) -> None:
         typer.echo(f"{name}: {before[index]:.2f} now, {after[index]:.2f} as found")
     for checked in drives:
         if checked.clock.disagrees():
-            text = f"{checked.drive.name}: the truth is stamped {checked.clock.text} than the wheels; this was undone."
-            typer.secho(text, fg="yellow", err=True)
+            warn(f"{checked.drive.name}: the truth is stamped {checked.clock.text} than the wheels; this was undone.")

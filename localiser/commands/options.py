@@ -95,6 +95,12 @@ def show(renderable: object) -> None:
         console.print(part)
 
 
+def warn(text: str | None) -> None:
+    """Print a warning, where there is one."""
+    if text:
+        typer.secho(text, fg="yellow", err=True)
+
+
 @contextmanager
 def progress(title: str, total: int, *, shown: bool = True) -> Iterator[Callable[[], None]]:
     """Show a progress bar on standard error; yields what to call after every step."""

@@ -18,6 +18,7 @@ from localiser.commands.options import (
     paced,
     progress,
     show,
+    warn,
     with_options,
     working,
 )
@@ -111,7 +112,7 @@ def replay(
         if bag is not None:
             typer.echo(f"Bag in {bag}; beside it {' and '.join(_layouts_beside(bag))}, layouts for RViz and Foxglove.")
         for warning in figures["warnings"]:
-            typer.secho(warning, fg="yellow", err=True)
+            warn(warning)
     if run.viewer is not None:
         _wait_for(run.viewer)
 
@@ -130,11 +131,7 @@ def _layouts_beside(bag: Path) -> list[str]:
 def _wait_for(viewer: LiveView) -> None:
     """Say what became of the viewer, and serve its page until Ctrl-C."""
     if not viewer.is_running:
-        typer.secho(
-            "The viewer was closed or could not start (is there a display?); the run went on without it.",
-            fg="yellow",
-            err=True,
-        )
+        warn("The viewer was closed or could not start (is there a display?); the run went on without it.")
     elif viewer.address:
         typer.echo("The page is served until Ctrl-C.", err=True)
         viewer.wait()

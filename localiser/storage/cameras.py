@@ -102,7 +102,7 @@ def _of_other_program(document: Document, value: dict[str, Any]) -> tuple[str, d
         size = [value.get(f"image_{side}", value.get(f"image_{side.title()}")) for side in ("width", "height")]
         many = isinstance(bent, list) and len(bent) > 5
         model = "equidistant" if value.get("fisheye_model") else "rational_polynomial" if many else "plumb_bob"
-        return "OpenCV", _ros_keys(size, matrix.get("data"), model, bent)
+        return "OpenCV", ros_keys(size, matrix.get("data"), model, bent)
     if isinstance(camera := value.get("cam0"), dict):
         if camera.get("camera_model") != "pinhole":
             problem = f"expected pinhole, found {shown(camera.get('camera_model'))}"
@@ -110,7 +110,7 @@ def _of_other_program(document: Document, value: dict[str, Any]) -> tuple[str, d
         lens = camera.get("distortion_model")
         known = {"radtan": "plumb_bob", "equi": "equidistant"}.get(str(lens), lens)
         data = _matrix_data(camera.get("intrinsics"))
-        return "Kalibr", _ros_keys(camera.get("resolution"), data, known, camera.get("distortion_coeffs"))
+        return "Kalibr", ros_keys(camera.get("resolution"), data, known, camera.get("distortion_coeffs"))
     prefix = next((prefix for prefix in ("Camera1.", "Camera.") if f"{prefix}fx" in value), None)
     if prefix is None:
         return None
@@ -119,7 +119,7 @@ def _of_other_program(document: Document, value: dict[str, Any]) -> tuple[str, d
     data = _matrix_data([value.get(f"{prefix}{name}") for name in ("fx", "fy", "cx", "cy")])
     bent = [value.get(f"{prefix}{name}", 0.0) for name in names]
     size = [value.get(f"Camera.{side}") for side in ("width", "height")]
-    return "ORB-SLAM", _ros_keys(size, data, "equidistant" if fisheye else "plumb_bob", bent)
+    return "ORB-SLAM", ros_keys(size, data, "equidistant" if fisheye else "plumb_bob", bent)
 
 
 def _matrix_data(intrinsics: Any) -> list[Any]:
@@ -129,7 +129,8 @@ def _matrix_data(intrinsics: Any) -> list[Any]:
     return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
 
 
-def _ros_keys(size: Any, matrix: Any, model: Any, coefficients: Any) -> dict[str, Any]:
+def ros_keys(size: Any, matrix: Any, model: Any, coefficients: Any) -> dict[str, Any]:
+    """Return what was read of a camera by the keys of a camera file, not checked yet; it has no mount."""
     width, height = [*(size if isinstance(size, list) else []), None, None][:2]
     count = len(coefficients) if isinstance(coefficients, list) else 0
     return {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from localiser.commands.options import is_quiet, progress, show
+from localiser.commands.options import is_quiet, progress, show, warn
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -123,11 +123,15 @@ def calibrate_by(
     Raises InputError.
     """
     from localiser.calibration import FEWEST_VIEWS, calibrate, mount_over_board
-    from localiser.documents import plain_name
-    from localiser.storage import read_image
+    from localiser.documents import plain_name, read_bytes
+    from localiser.image_files import measure
+    from localiser.storage import MAX_IMAGE_BYTES, read_image
 
     paths = sorted({*images, *([floor] if floor is not None else [])})
-    size = common_size(paths)
+    try:
+        size = measure(read_bytes(paths[0], MAX_IMAGE_BYTES))[0]
+    except ValueError as error:
+        raise InputError(str(error), path=paths[0]) from None
     found: dict[Path, BoardView | None] = {}
     for path in paths:
         found[path] = board.find(read_image(path, size), plain_name(path.name))
@@ -151,25 +155,6 @@ def calibrate_by(
         without_board=tuple(plain_name(path.name) for path in without),
         floor=None if floor is None else mount_over_board(intrinsics, list(views).index(floor)),
     )
-
-
-def common_size(paths: Sequence[Path]) -> tuple[int, int]:
-    """Return the size (width, height) that all images have. Raises InputError."""
-    from localiser.documents import read_bytes
-    from localiser.image_files import measure
-    from localiser.storage import MAX_IMAGE_BYTES
-
-    sizes = []
-    for path in paths:
-        try:
-            sizes.append(measure(read_bytes(path, MAX_IMAGE_BYTES))[0])
-        except ValueError as error:
-            raise InputError(str(error), path=path) from None
-        if sizes[-1] != sizes[0]:
-            (width, height), found = sizes[0], sizes[-1]
-            problem = f"expected {width}×{height} pixels as in {paths[0]}, found {found[0]}×{found[1]}"
-            raise InputError(problem, path=path)
-    return sizes[0]
 
 
 def write_calibration(calibration: Calibration, path: Path, name: str) -> None:
@@ -243,4 +228,4 @@ def _show(found: Calibration) -> None:
     }
     for text, is_so in doubts.items():
         if is_so:
-            typer.secho(text, fg="yellow", err=True)
+            warn(text)

@@ -17,6 +17,7 @@ from localiser.commands.options import (
     is_quiet,
     open_with_settings,
     progress,
+    warn,
 )
 from localiser.errors import InputError
 
@@ -71,8 +72,7 @@ def sync(
             f"Images are stamped {found.text} than wheels (1σ), by {np.rad2deg(found.turned_rad):.0f}° of turning in "
             f"{found.pairs} pairs of images."
         )
-        if problem := found.problem:
-            typer.secho(problem, fg="yellow", err=True)
+        warn(found.problem)
     if out is None:
         return
     if found.sigma_s > WRITTEN_SIGMA_S:

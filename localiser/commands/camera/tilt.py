@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.convert import to_folder
-from localiser.commands.options import ConfigFile, NewLog, Overrides, is_quiet, open_with_settings, progress, show
+from localiser.commands.options import ConfigFile, NewLog, Overrides, is_quiet, open_with_settings, progress, show, warn
 from localiser.errors import InputError
 
 if TYPE_CHECKING:
@@ -89,8 +89,7 @@ def _show(found: LogMount, images: int) -> None:
     show(table)
     share = found.vertical / found.lines if found.lines else 0.0
     typer.echo(f"{found.lines} lines in {images} images, {share:.0%} of them vertical edges, at {found.places} places.")
-    if problem := found.problem:
-        typer.secho(problem, fg="yellow", err=True)
+    warn(found.problem)
 
 
 def _require_certain(found: LogMount, config: Config, log: Log) -> None:

@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import NewMap, edges_with_progress, parse_poses, summary_table, warn
-from localiser.commands.options import BagCamera, ConfigFile, Overrides, Topics, is_quiet, open_with_settings, show
+from localiser.commands.map.options import NewMap, edges_with_progress, parse_poses, summary_table
+from localiser.commands.options import (
+    BagCamera,
+    ConfigFile,
+    Overrides,
+    Topics,
+    is_quiet,
+    open_with_settings,
+    show,
+    warn,
+)
 from localiser.errors import InputError
 
 if TYPE_CHECKING:

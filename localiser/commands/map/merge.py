@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import NewMap, Within, warn
-from localiser.commands.options import is_quiet, show
+from localiser.commands.map.options import NewMap, Within
+from localiser.commands.options import is_quiet, show, warn
 from localiser.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.options import progress
+from localiser.commands.options import progress, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -50,26 +50,17 @@ def edges_with_progress(log: Log, config: Config) -> list[Edges]:
     return found
 
 
-def warn(text: str | None) -> None:
-    """Print a warning, where there is one."""
-    if text:
-        typer.secho(text, fg="yellow", err=True)
-
-
 def picture_path(stated: Path | None, map_file: Path, what: str) -> Path:
     """Return where a picture of a map goes. Raises OutputError for a file that was named and is there already.
 
-    By default it lies beside the map, in place of an older one; of a map in a git clone in `results`, which nobody
-    commits.
+    By default it lies beside the map, in place of an older one.
     """
     from localiser.storage import require_new_file
 
     if stated is not None:
         require_new_file(stated)
         return stated
-    name, folder = f"{map_file.stem}_{what}.png", map_file.resolve().parent
-    in_clone = any((each / ".git").exists() for each in (folder, *folder.parents))
-    return Path("results") / name if in_clone else map_file.with_name(name)
+    return map_file.with_name(f"{map_file.stem}_{what}.png")
 
 
 def summary_table(landmark_map: LandmarkMap) -> Table:

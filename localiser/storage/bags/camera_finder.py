@@ -36,7 +36,7 @@ from localiser.storage.bags.frames import (
     stamp_of,
 )
 from localiser.storage.bags.messages import stated_size
-from localiser.storage.cameras import camera_from_document
+from localiser.storage.cameras import camera_from_document, ros_keys
 
 _RECTIFIED = {"rect", "rectified", "undistorted"}  # words of names of images with their lens distortion undone
 _RAW = {"raw", "mono", "unrectified", "distorted"}  # and of those as the camera took them, as image_proc has it
@@ -245,14 +245,8 @@ def _camera_file(info: Any, rectified: bool) -> dict[str, Any]:
         model, coefficients = "none", []
     if model == "none" and not any(coefficients):
         coefficients = []
-    data = {
-        "image_width": int(info.width),
-        "image_height": int(info.height),
-        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
-        "distortion_model": model,
-        "distortion_coefficients": {"rows": 1, "cols": min(len(coefficients), 100), "data": coefficients},
-        "mount": {"tilt_deg": 0.0, "height_m": 1.0},  # replaced by what the transforms say
-    }
+    data = ros_keys([int(info.width), int(info.height)], matrix, model, coefficients)
+    data["mount"] = {"tilt_deg": 0.0, "height_m": 1.0}  # replaced by what the transforms say
     if rectified:
         data["rectification_matrix"] = {"rows": 3, "cols": 3, "data": rotation}
     return data

@@ -23,7 +23,7 @@ from localiser.mapping import edges_of_log
 from localiser.mapping import recorded as recorded_log
 from localiser.replay import prepare
 from localiser.replay.run import start_of
-from localiser.storage import open_log, read_map, read_poses, write_log, write_map, write_tum
+from localiser.storage import open_log, read_map, read_poses, write_log, write_tum
 
 LOG = ROOT / "logs" / "corridor"
 
@@ -54,17 +54,6 @@ def test_build_and_show(tmp_path: Path) -> None:
         shown = run("map", "show", out, "--path", log)
         assert shown.exit_code == 0 and f"Picture in {tmp_path / 'map_map.png'}" in shown.output.replace("\n", "")
     assert (tmp_path / "plain.png").read_bytes() != (tmp_path / "map_map.png").read_bytes()
-
-
-def test_a_picture_of_a_map_in_a_clone_goes_to_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "clone" / ".git").mkdir(parents=True)
-    maps = tmp_path / "clone" / "maps"
-    maps.mkdir()
-    write_map(world("corridor").landmark_map, maps / "hall.yaml")
-    monkeypatch.chdir(tmp_path)
-    assert run("map", "show", maps / "hall.yaml", "-q").exit_code == 0
-    assert [path.name for path in maps.iterdir()] == ["hall.yaml"]
-    assert (tmp_path / "results" / "hall_map.png").exists()
 
 
 def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
