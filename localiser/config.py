@@ -100,9 +100,7 @@ class Config(BaseModel):
 
 
 def read_config(
-    path: Path | str | None = None,
-    overrides: Iterable[str] = (),
-    log_overrides: Mapping[str, Any] | None = None,
+    path: Path | str | None = None, overrides: Iterable[str] = (), log_overrides: Mapping[str, Any] | None = None
 ) -> Config:
     """Return the configuration in force.
 

@@ -30,8 +30,7 @@ def batch(
         Path | None, typer.Option("--map", metavar="MAP", help="Landmark map of all; by default each log's own.")
     ] = None,
     configs: Annotated[
-        list[Path] | None,
-        typer.Option("--config", metavar="FILE", help="Configuration. May be repeated: each is run."),
+        list[Path] | None, typer.Option("--config", metavar="FILE", help="Configuration. May be repeated: each is run.")
     ] = None,
     overrides: Annotated[
         list[str] | None,
@@ -49,8 +48,7 @@ def batch(
         int | None, typer.Option(min=1, metavar="N", help="Processes at a time; by default one a core.")
     ] = None,
     cluster: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Run on a Dask cluster, whose workers see the same files."),
+        str | None, typer.Option(metavar="ADDRESS", help="Run on a Dask cluster, whose workers see the same files.")
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Where results go.")] = Path(
         "results/batch"

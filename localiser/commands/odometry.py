@@ -20,9 +20,7 @@ TRUTH, FILTER = "truth", "filter"
 _BIAS = ("distance_sigma", "turn_sigma", "veer_sigma_deg_per_m")
 
 odometry_app = typer.Typer(
-    no_args_is_help=True,
-    help="Find out how good the robot's odometry is.",
-    rich_markup_mode="markdown",
+    no_args_is_help=True, help="Find out how good the robot's odometry is.", rich_markup_mode="markdown"
 )
 
 

@@ -30,8 +30,7 @@ def simulate(
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="LOG", help="New folder for the log.")] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Same seed, same log.")] = 0,
     serve: Annotated[
-        bool,
-        typer.Option("--serve", help="Send the drive over zenoh in real time, to and fro, in place of a robot."),
+        bool, typer.Option("--serve", help="Send the drive over zenoh in real time, to and fro, in place of a robot.")
     ] = False,
     overrides: Overrides = None,
 ) -> None:

@@ -17,11 +17,14 @@ _LEAD_DECAY = 1e-3  # of the time that passes: more than two clocks drift apart
 
 @dataclass(slots=True, eq=False)
 class RobotClock:
-    """Turns stamps into times that go on steadily. offset_ns: what is added to stamps now."""
+    """Turns stamps into times that go on steadily. offset_ns: what is added to stamps now.
+
+    newest_ns: the latest time of any message that shows the clock, 0 before the first.
+    """
 
     offset_ns: int = 0
     jumps: int = 0
-    _newest_ns: int = 0
+    newest_ns: int = 0
     _lead_ns: float = 0.0
     _at_ns: int | None = None
     _doubtful: list[tuple[int, int]] = field(default_factory=list)
@@ -32,20 +35,15 @@ class RobotClock:
         A jump is believed after some messages that agree, and ends those it is made of: they return None too.
         """
         if self._at_ns is None:
-            self._newest_ns, self._lead_ns, self._at_ns = stamp_ns, float(stamp_ns - at_ns), at_ns
+            self.newest_ns, self._lead_ns, self._at_ns = stamp_ns, float(stamp_ns - at_ns), at_ns
             return stamp_ns
         lead_ns = self._lead_at(at_ns)
         if (t_ns := self.possible_time(stamp_ns, at_ns)) is not None:
             self._doubtful.clear()
-            self._newest_ns = max(self._newest_ns, t_ns)
+            self.newest_ns = max(self.newest_ns, t_ns)
             self._lead_ns, self._at_ns = max(lead_ns, t_ns - at_ns), at_ns
             return t_ns
         return self._jumped(stamp_ns, at_ns, lead_ns)
-
-    @property
-    def newest_ns(self) -> int:
-        """The latest time of any message that shows the clock, 0 before the first."""
-        return self._newest_ns
 
     @property
     def is_known(self) -> bool:
@@ -63,7 +61,7 @@ class RobotClock:
 
     def is_late(self, stamp_ns: int) -> bool:
         """Whether a stamp lies too far behind the newest to be true now."""
-        return self.is_known and stamp_ns + self.offset_ns < self._newest_ns - LATE_NS
+        return self.is_known and stamp_ns + self.offset_ns < self.newest_ns - LATE_NS
 
     def is_early(self, stamp_ns: int, at_ns: int) -> bool:
         """Whether a stamp lies too far ahead of a time of arrival to be true."""
@@ -88,9 +86,9 @@ class RobotClock:
             return None
         self._doubtful.clear()
         self.jumps += 1
-        t_ns = max(self._newest_ns + 1, round(at_ns + lead_ns))
+        t_ns = max(self.newest_ns + 1, round(at_ns + lead_ns))
         self.offset_ns = t_ns - stamp_ns
-        self._newest_ns, self._lead_ns, self._at_ns = t_ns, float(t_ns - at_ns), at_ns
+        self.newest_ns, self._lead_ns, self._at_ns = t_ns, float(t_ns - at_ns), at_ns
         return t_ns
 
 

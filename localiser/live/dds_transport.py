@@ -220,13 +220,7 @@ class DdsTransport:
     """
 
     def __init__(
-        self,
-        domain: int,
-        interface: str,
-        node: str = "localiser",
-        namespace: str = "",
-        *,
-        humble: bool = False,
+        self, domain: int, interface: str, node: str = "localiser", namespace: str = "", *, humble: bool = False
     ) -> None:
         """Join a domain. Raises InputError, as when there is no such interface."""
         package = dds()

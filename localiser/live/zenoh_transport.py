@@ -42,12 +42,7 @@ class ZenohLink:
     """A session that is open, or will be once a router can be reached. A router that goes away is waited for."""
 
     def __init__(
-        self,
-        connect: Sequence[str],
-        listen: Sequence[str],
-        *,
-        config_file: str = "",
-        wait: bool = True,
+        self, connect: Sequence[str], listen: Sequence[str], *, config_file: str = "", wait: bool = True
     ) -> None:
         """Open a session. wait: whether to wait for a router that cannot be reached. Raises InputError.
 
@@ -93,10 +88,7 @@ class ZenohLink:
     def _open(self) -> Any:
         zenoh = _zenoh()
         config = _from_file(Path(self._config_file)) if self._config_file else zenoh.Config()
-        settings: dict[str, Any] = {
-            "connect/endpoints": list(self._connect),
-            "listen/endpoints": list(self._listen),
-        }
+        settings: dict[str, Any] = {"connect/endpoints": list(self._connect), "listen/endpoints": list(self._listen)}
         if self._config_file:
             settings = {name: endpoints for name, endpoints in settings.items() if endpoints}
         else:

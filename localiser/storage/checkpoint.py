@@ -131,7 +131,11 @@ def decode(hint: Any, content: bytes) -> Any:
 
 def fingerprint(value: Any) -> str:
     """Return a name for the content of `value`: another content has another name, another order in memory has not."""
-    content = msgspec.msgpack.encode(value, enc_hook=_plain_by_rows, order="deterministic")
+
+    def plain_by_rows(part: Any) -> Any:
+        return _plain(np.asarray(part, order="C") if isinstance(part, np.ndarray) else part)
+
+    content = msgspec.msgpack.encode(value, enc_hook=plain_by_rows, order="deterministic")
     return sha256(content).hexdigest()[:16]
 
 
@@ -153,10 +157,6 @@ def _plain(value: Any) -> Any:
     order: Any = "F" if value.flags.f_contiguous and not value.flags.c_contiguous else "C"
     little = value.astype(value.dtype.newbyteorder("<"), order="K", copy=False)
     return little.dtype.str, little.shape, order, little.tobytes(order)
-
-
-def _plain_by_rows(value: Any) -> Any:
-    return _plain(np.asarray(value, order="C") if isinstance(value, np.ndarray) else value)
 
 
 def _typed(hint: Any, found: Any) -> Any:

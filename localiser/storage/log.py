@@ -87,15 +87,12 @@ class Log:
             if isinstance(frame, Sighting):
                 before = frame.edges.landmark_id
                 if (lost := before[(before >= 0) & (moved[before] < 0)]).size:
-                    raise self._unknown(ids[lost[0]], landmark_map)
+                    name, where = str(ids[lost[0]]), f"the map {shown(landmark_map.name)}".removesuffix(" ''")
+                    problem = f"expected the id of a landmark of {where}, found {shown(name)}"
+                    raise self.named.get(name, Place(str(self.path))).error(("landmark_id",), problem)
                 frame = replace(frame, edges=replace(frame.edges, landmark_id=moved[before]))  # noqa: PLW2901
             frames.append(frame)
         return replace(self, frames=frames)
-
-    def _unknown(self, name: int | str, landmark_map: LandmarkMap) -> InputError:
-        place = self.named.get(str(name), Place(str(self.path)))
-        where = f"the map {shown(landmark_map.name)}" if landmark_map.name else "the map"
-        return place.error(("landmark_id",), f"expected the id of a landmark of {where}, found {shown(str(name))}")
 
     @property
     def has_images(self) -> bool:

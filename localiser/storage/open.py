@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from localiser.storage.images import encode_image, image_event
 from localiser.storage.log import Log, LogReader, ReadOptions
 
 if TYPE_CHECKING:
-    from localiser.simulate import SimulatedLog, World
+    from localiser.simulate import World
 
 
 FORMATS: list[LogReader] = [FolderReader(), BagReader()]
@@ -90,7 +90,7 @@ def simulate_log(world: World | Path | str, seed: int = 0) -> Log:
         image_event(
             int(t_ns),
             f"image {index}",
-            cache(partial(_rendered, made, index)),
+            cache(lambda index=index: encode_image(made.image(index), ".jpg", made.jpeg_quality)),
             size,
             path=path,
             mount=made.mounts[index],
@@ -99,7 +99,3 @@ def simulate_log(world: World | Path | str, seed: int = 0) -> Log:
     ]
     start = Start(frames[0].t_ns, made.start, made.start_cov)
     return Log(made.name, path, made.camera, made.drive.odometry, frames, made.landmark_map, start, made.drive.truth)
-
-
-def _rendered(log: SimulatedLog, index: int) -> bytes:
-    return encode_image(log.image(index), ".jpg", log.jpeg_quality)

@@ -60,7 +60,12 @@ def read_plan(path: Path) -> FloorPlan:
     document = load(path)
     file = validate(document, PlanFile)
     image = path.parent / file.image
-    occupied, free = classify(picture := _load_picture(image), file)
+    data = read_bytes(image, _MAX_BYTES)
+    try:
+        picture = _read_pgm(data) if data.startswith((b"P2", b"P5")) else _read_png(data)
+    except ValueError as error:
+        raise InputError(str(error), path=image) from None
+    occupied, free = classify(picture, file)
     unknown = np.count_nonzero(picture.mean(axis=2) == (255 - UNKNOWN_GREY if file.negate else UNKNOWN_GREY))
     if file.mode == "trinary" and unknown and file.free_thresh > (255 - UNKNOWN_GREY) / 255:
         taken = f"{unknown} pixels of grey {UNKNOWN_GREY} are unknown, as map_saver writes them"
@@ -98,16 +103,7 @@ def classify(picture: Picture, file: PlanFile) -> tuple[Mask, Mask]:
     return occupied, free
 
 
-# -- the picture ------------------------------------------------------------------------------------------------------
-
-
-def _load_picture(path: Path) -> Picture:
-    """Return a PGM or PNG file as (H, W, C) values 0 to 255. Raises InputError before any memory is taken for it."""
-    data = read_bytes(path, _MAX_BYTES)
-    try:
-        return _read_pgm(data) if data.startswith((b"P2", b"P5")) else _read_png(data)
-    except ValueError as error:
-        raise InputError(str(error), path=path) from None
+# -- the picture, as (H, W, C) values 0 to 255; what is wrong is found before memory is taken for it ------------------
 
 
 def _read_pgm(data: bytes) -> Picture:

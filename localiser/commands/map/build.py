@@ -38,11 +38,7 @@ EXAMPLES = """Examples:
 
 def build(
     logs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="LOG…",
-            help="Log folder or ROS bag. Several make one map, by their truth.",
-        ),
+        list[Path], typer.Argument(metavar="LOG…", help="Log folder or ROS bag. Several make one map, by their truth.")
     ],
     out: NewMap,
     poses: Annotated[

@@ -135,7 +135,7 @@ def restored_copy(path: Path) -> Iterator[Path]:
         if _states(sources) != before:
             raise InputError("is being written; read it when its recorder has ended", path=path)
         journal = beside(copy, "-journal")
-        if journal.exists() and _end_of(journal) == _SUPER_JOURNAL:
+        if journal.exists() and journal.read_bytes().endswith(_SUPER_JOURNAL):
             problem = "expected the journal of a bag, found one that has SQLite delete another file"
             raise InputError(f"{problem}; without it the bag is read as it lies", path=beside(path, "-journal"))
         with closing(sqlite3.connect(copy)) as database:
@@ -160,12 +160,6 @@ def _is_pending(path: Path) -> bool:
 
 def _states(paths: list[Path]) -> list[tuple[int, int]]:
     return [(found.st_size, found.st_mtime_ns) for found in (path.stat() for path in paths)]
-
-
-def _end_of(path: Path) -> bytes:
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - len(_SUPER_JOURNAL)))
-        return file.read()
 
 
 # -- recording ---------------------------------------------------------------------------------------------------------

@@ -120,8 +120,7 @@ class FrameTree:
         steps = self.chain(target, source)
         if steps is None:
             known = ", ".join(nsmallest(_MOST_LISTED, self._beside[0])) or "no frame at all"
-            count = len(self._beside[0]) - _MOST_LISTED
-            more = f" and {count} more" if count > 0 else ""
+            more = ", …" if len(self._beside[0]) > _MOST_LISTED else ""
             raise ValueError(f"expected transforms from {target!r} to {source!r}, found {known}{more}")
         transform: Array = np.eye(4)
         for link in steps:
@@ -356,20 +355,16 @@ def floor_pose(message: Any) -> tuple[float, float, float]:
     return float(x), float(z), float(np.round(wrap_angle(heading), 9))
 
 
-def floor_cov(message: Any) -> Array:
-    """Return the covariance (3, 3) of x, z, heading of such a message. Raises ValueError unless it can be one."""
-    cov = ros_cov_from_cov(np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[FLOOR_ROWS])
-    if not np.isfinite(cov).all() or not np.allclose(cov, cov.T) or not (np.linalg.eigvalsh(cov) > 0).all():
-        raise ValueError("expected a covariance of x, y and yaw that is positive definite")
-    return (cov + cov.T) / 2
-
-
 def start_of_message(message: Any) -> tuple[Array, Array]:
     """Return the pose (3,) and its covariance (3, 3) where a robot is said to start. Raises ValueError.
 
     The position is within 100,000 km, sigmas are at most 1000 m and a whole turn.
     """
-    mean, cov = np.array(floor_pose(message)), floor_cov(message)
+    mean = np.array(floor_pose(message))
+    cov = ros_cov_from_cov(np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)[FLOOR_ROWS])
+    if not np.isfinite(cov).all() or not np.allclose(cov, cov.T) or not (np.linalg.eigvalsh(cov) > 0).all():
+        raise ValueError("expected a covariance of x, y and yaw that is positive definite")
+    cov = (cov + cov.T) / 2
     check_start(mean, cov)
     return mean, cov
 
