@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from localiser.commands.options import BagCamera, Topics, is_quiet, progress, show, topics_by_role, warn, working
-
-if TYPE_CHECKING:
-    from localiser.batch import Verdict
 
 EPILOG = """Examples:
 
@@ -68,6 +65,7 @@ def batch(
         Workers,
         choices_of,
         compare_with,
+        comparison_table,
         failures,
         read_table_of,
         run_batch,
@@ -96,22 +94,15 @@ def batch(
         typer.secho(f"Failed: {text}", fg="red", err=True)
     if others is not None and against is not None:
         verdict = compare_with(rows, others, against)
-        _tell(verdict)
+        if not is_quiet():
+            show(comparison_table(verdict))
+        for alone, where in ((verdict.alone, "here"), (verdict.alone_there, "there")):
+            warn(f"{alone} runs are only {where} and were not compared." if alone else None)
+        if verdict.newly_failed:
+            typer.secho(f"{len(verdict.newly_failed)} runs failed that did not fail there.", fg="red", err=True)
+        if not is_quiet():
+            typer.echo(f"{verdict.pairs} pairs: {'a significant loss' if verdict.is_loss else 'no significant loss'}.")
         if verdict.is_loss:
             raise typer.Exit(LOSS_EXIT_CODE)
     if failed:
         raise typer.Exit(FAILED_EXIT_CODE)
-
-
-def _tell(verdict: Verdict) -> None:
-    from localiser.batch import comparison_table
-
-    if not is_quiet():
-        show(comparison_table(verdict))
-    for alone, where in ((verdict.alone, "here"), (verdict.alone_there, "there")):
-        if alone:
-            warn(f"{alone} runs are only {where} and were not compared.")
-    if verdict.newly_failed:
-        typer.secho(f"{len(verdict.newly_failed)} runs failed that did not fail there.", fg="red", err=True)
-    if not is_quiet():
-        typer.echo(f"{verdict.pairs} pairs: {'a significant loss' if verdict.is_loss else 'no significant loss'}.")

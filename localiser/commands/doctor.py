@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from localiser.commands.options import ConfigFile, Overrides, Topics, open_with_settings, show
 from localiser.errors import one_paragraph
-
-if TYPE_CHECKING:
-    from localiser.commands.doctor_checks import Finding
 
 EPILOG = """Examples:
 
@@ -40,6 +37,9 @@ def doctor(
     Listens to a robot when a setting says where it is: `--set live.connect=tcp/127.0.0.1:7447`, or live.listen,
     live.zenoh_config, live.dds. Exit code 1 when something is missing.
     """
+    from rich.table import Table
+    from rich.text import Text
+
     from localiser.commands import doctor_checks as examination
     from localiser.config import read_config
     from localiser.errors import InputError
@@ -65,18 +65,10 @@ def doctor(
             findings.append(examination.Finding("camera", "missing", problem))
         else:
             findings += [examination.camera_finding(known), *examination.heard_checks(heard, known, settings)]
-    _show(findings)
-    if any(finding.state == "missing" for finding in findings):
-        raise typer.Exit(1)
-
-
-def _show(findings: list[Finding]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
     table = Table(box=None, show_header=False)
     for finding in findings:
-        table.add_row(
-            Text(finding.state, style=_COLOURS[finding.state]), Text(finding.what), Text(one_paragraph(finding.text))
-        )
+        state = Text(finding.state, style=_COLOURS[finding.state])
+        table.add_row(state, Text(finding.what), Text(one_paragraph(finding.text)))
     show(table)
+    if any(finding.state == "missing" for finding in findings):
+        raise typer.Exit(1)

@@ -43,7 +43,9 @@ def evaluate(
     if as_json and as_csv:
         raise InputError("expected --json or --csv, found both", field="--csv")
     runs = list({run.resolve(): run for run in reversed(runs)}.values())[::-1]  # `latest` is one of the others
-    figures = {name: evaluate_run(run, truth, align) for name, run in zip(_names(runs), runs, strict=True)}
+    short = ["/".join(run.parts[-2:]) for run in runs]
+    names = short if len(set(short)) == len(runs) else map(str, runs)
+    figures = {name: evaluate_run(run, truth, align) for name, run in zip(names, runs, strict=True)}
     if as_json:
         typer.echo(json_text(figures), nl=False)
     elif as_csv:
@@ -56,9 +58,3 @@ def evaluate(
     for name, found in figures.items():
         if found.get("complete") is False:
             warn(f"{name} ended early: its figures are those of {found.get('frames')} frames.")
-
-
-def _names(runs: list[Path]) -> list[str]:
-    """Return short names of the runs, whole paths where short ones would be the same."""
-    short = ["/".join(run.parts[-2:]) for run in runs]
-    return short if len(set(short)) == len(runs) else [str(run) for run in runs]

@@ -175,19 +175,13 @@ class Node:
         """Tell of a node that has no topics yet."""
         from rosbags.typesys import Stores, get_typestore
 
-        package, policy = dds(), dds().core.Policy
+        package = dds()
         self._store = get_typestore(Stores.ROS2_HUMBLE if humble else Stores.ROS2_JAZZY)
         self._participant, self._name, self._namespace = participant, name, namespace
         self._lock = Lock()
         self._ours: tuple[list[Any], list[Any]] = [], []
         topic = package.topic.Topic(participant, _DISCOVERY, raw(self._store, _INFO, dds_type(_INFO)))
-        quality = package.core.Qos(
-            policy.Reliability.Reliable(max_blocking_time=0),
-            policy.Durability.TransientLocal,
-            policy.History.KeepLast(1),
-            policy.DurabilityService(0, policy.History.KeepLast(1), -1, -1, -1),
-            policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
-        )
+        quality = _qos(Topic(_DISCOVERY, _INFO, latched=True, depth=1))
         self._writer = package.pub.DataWriter(participant, topic, quality)
         self._tell()
 

@@ -136,11 +136,6 @@ class Monitor:
         return {kind: count for kind, count in self.counts.items() if kind not in _NO_WARNINGS}
 
     @property
-    def warnings(self) -> int:
-        """How often something was wrong."""
-        return sum(self.wrong.values())
-
-    @property
     def rate_now_hz(self) -> float:
         """Images a second of late, 0 while there are too few."""
         span = self._times[-1] - self._times[0] if self._times else 0.0
@@ -177,13 +172,13 @@ def status_line(monitor: Monitor) -> str:
     located, landmark = frame.located, frame.matches.landmark
     x, z, heading = located.estimate.pose
     cov = located.estimate.pose_cov
-    matched = int((landmark >= 0).sum())
+    matched, warnings = int((landmark >= 0).sum()), sum(monitor.wrong.values())
     parts = [
         frame.map_name,
         f"{x:.2f}, {z:.2f} ± {np.sqrt(np.trace(cov[:2, :2])):.2f} m",
         f"{np.degrees(heading):.1f} ± {np.degrees(np.sqrt(cov[2, 2])):.1f}°",
         f"sure {located.p_correct:.2f}" + (f" ({located.reason})" if located.reason else ""),
-        f"{monitor.warnings} warning{'s' * (monitor.warnings > 1)}" if monitor.warnings else "",
+        f"{warnings} warning{'s' * (warnings > 1)}" if warnings else "",
         f"{monitor.rate_now_hz:.1f} Hz",
         f"{monitor.work_ms[-1]:.0f} ms",
         f"edges {matched}/{len(landmark)}",

@@ -224,15 +224,6 @@ def write_camera(camera: Camera, path: Path | str, *, with_mount: bool = True, c
     write_text(Path(path), "".join(f"# {line}\n" for line in comment.splitlines()) + dump(data))
 
 
-def camera_file(log: Path) -> Path:
-    """Return the path of the camera file that a log folder names. Raises InputError when it is no such folder."""
-    document = load(log / "log.yaml")
-    name = document.value.get("camera") if isinstance(document.value, dict) else None
-    if not isinstance(name, str):
-        raise document.error(("camera",), f"expected the name of a file, found {shown(name)}")
-    return named(document, log, "camera", name)
-
-
 def named(document: Document, folder: Path, key: str, name: str) -> Path:
     """Return the path of the file in `folder` that the document names at `key`. Raises InputError."""
     try:
@@ -244,8 +235,8 @@ def named(document: Document, folder: Path, key: str, name: str) -> Path:
 def camera_error(log: Path, key: tuple[str, ...], problem: str) -> InputError:
     """Return the error that says what is wrong with the value at `key` of a log's camera file, and where it is."""
     try:
-        return load(camera_file(log)).error(key, problem)
-    except InputError:  # a log of another format has no such file
+        return load(inside(log, load(log / "log.yaml").value["camera"])).error(key, problem)
+    except (InputError, ValueError, TypeError, LookupError):  # a log of another format has no such file
         return InputError(problem, path=log, field=".".join(key))
 
 
