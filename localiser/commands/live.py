@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from localiser.filter import Start
     from localiser.live import LiveOptions, LiveRun
-    from localiser.storage import Log
 
 live_app = typer.Typer(
     invoke_without_command=True,
@@ -148,12 +146,16 @@ def demo(
     from localiser.config import read_config
     from localiser.errors import InputError
     from localiser.live import LiveOptions
+    from localiser.replay import stated_start
     from localiser.storage import write_map
 
     log = log or example_folder() / LOG
     driven = driven_log(log, 0)
     if driven.landmark_map is None:
         raise InputError("the log has no map", path=log, field="map")
+    start, truth = driven.start, driven.groundtruth
+    if start is None and truth is not None:
+        start = stated_start(truth.at(driven.frames[0].t_ns))
     settings = read_config(None, overrides or [], driven.settings)
     reached = [f"live.dds={settings.live.dds}", f"live.interface={settings.live.interface}"]
     if settings.live.dds < 0:
@@ -168,7 +170,7 @@ def demo(
         options = LiveOptions(
             [map_file],
             settings,
-            start=_start_of(driven),
+            start=start,
             record=record,
             json=sys.stdout.fileno() if json else None,
             view=view,
@@ -176,18 +178,6 @@ def demo(
         )
         with _stand_in(log, reached):
             _run(options)
-
-
-def _start_of(log: Log) -> Start:
-    """Return where a log starts: as it states, else by its truth. Raises InputError."""
-    from localiser.errors import InputError
-    from localiser.replay import stated_start
-
-    if log.start is not None:
-        return log.start
-    if log.groundtruth is None:
-        raise InputError("expected a log that states where it starts", path=log.path, field="start")
-    return stated_start(log.groundtruth.at(log.frames[0].t_ns))
 
 
 @contextmanager

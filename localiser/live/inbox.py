@@ -192,7 +192,7 @@ class CameraSource:
     """
 
     def __init__(self, address: str, take: Callable[[int, bytes], None]) -> None:
-        """Open the camera. take: gets the time (ns) and the file. Raises InputError."""
+        """Open the camera, and begin to read. take: gets the time (ns) and the file. Raises InputError."""
         self._address, self._take = address, take
         self._is_file = Path(address).is_file()
         self._stop = Event()
@@ -200,16 +200,12 @@ class CameraSource:
         if self._capture is None:
             raise InputError("expected a camera that can be opened", path=address, field="--image")
         self._thread = Thread(target=self._read, name="camera", daemon=True)
-
-    def start(self) -> None:
-        """Begin to read."""
         self._thread.start()
 
     def close(self) -> None:
         """Stop reading."""
         self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(2.0)
+        self._thread.join(2.0)
 
     def _read(self) -> None:
         begin_ns = time.time_ns()

@@ -215,9 +215,7 @@ def open_camera(address: str, topic: str, inbox: Inbox) -> CameraSource:
     def take(t_ns: int, file: bytes) -> None:
         inbox.put(Arrival("image", topic, make.encode(make.compressed(t_ns, file))))
 
-    source = CameraSource(address, take)
-    source.start()
-    return source
+    return CameraSource(address, take)
 
 
 def warm_up(landmark_map: LandmarkMap, config: Config, say: Callable[[str, str], None]) -> None:

@@ -243,37 +243,34 @@ _FIELDS |= {name: name for name in ("height_m", "right_m", "back_m")}
 """Columns, and the fields of a mount that they state; the sigma of each has a column that ends in `SIGMA`."""
 
 
-def _within(expected: str, is_right: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return what reads a cell: a number for which `is_right`, nan for an empty cell."""
-
-    def read(cell: str) -> float:
-        value = number_or_unknown(cell)
-        if not (math.isnan(value) or is_right(value)):
-            raise ValueError(expected)
-        return value
-
-    return read
+def _within(expected: str, is_right: Callable[[float], bool], cell: str) -> float:
+    """Return the number in a cell, nan for an empty cell. Raises ValueError, with what was expected."""
+    value = number_or_unknown(cell)
+    if not (math.isnan(value) or is_right(value)):
+        raise ValueError(expected)
+    return value
 
 
-_ANGLE = _within("an angle within ±180 degrees", lambda value: abs(value) <= 180)
-_LENGTH = _within("a length within ±100 m", lambda value: abs(value) <= 100)
-_SIGMA_DEG = _within("a sigma from 0 to 45 degrees", lambda value: 0 <= value <= 45)
-_SIGMA_M = _within("a sigma from 0 to 10 m", lambda value: 0 <= value <= 10)
 _READERS = {
-    "tilt_deg": _within("an angle above -90 and below 90 degrees", lambda value: -90 < value < 90),
-    "height_m": _within("a height above 0 and at most 100 m", lambda value: 0 < value <= 100),
+    "_deg": partial(_within, "an angle within ±180 degrees", lambda value: abs(value) <= 180),
+    "_m": partial(_within, "a length within ±100 m", lambda value: abs(value) <= 100),
+    f"_deg{SIGMA}": partial(_within, "a sigma from 0 to 45 degrees", lambda value: 0 <= value <= 45),
+    f"_m{SIGMA}": partial(_within, "a sigma from 0 to 10 m", lambda value: 0 <= value <= 10),
+    "tilt_deg": partial(_within, "an angle above -90 and below 90 degrees", lambda value: -90 < value < 90),
+    "height_m": partial(_within, "a height above 0 and at most 100 m", lambda value: 0 < value <= 100),
 }
-for _name in _FIELDS:
-    _READERS.setdefault(_name, _ANGLE if _name.endswith("_deg") else _LENGTH)
-    _READERS[_name + SIGMA] = _SIGMA_DEG if _name.endswith("_deg") else _SIGMA_M
-MOUNT_COLUMNS = tuple(Column(name, read, required=False) for name, read in _READERS.items())
+"""What reads a column: by its whole name, else by how the name ends."""
+_NAMES = [name + ending for name in _FIELDS for ending in ("", SIGMA)]
+MOUNT_COLUMNS = tuple(
+    Column(name, _READERS.get(name) or _READERS[name[name.index("_") :]], required=False) for name in _NAMES
+)
 
 
 def mounts_of_table(table: Table, usual: Mount) -> list[Mount | None]:
     """Return the mount of each row (R); None where all its cells are empty. usual: what an empty cell means."""
     mounts: list[Mount | None] = []
     for row in range(len(table)):
-        cells = {name: column[row] for name in _READERS if (column := table.columns.get(name))}
+        cells = {name: column[row] for name in _NAMES if (column := table.columns.get(name))}
         known = {
             name: math.radians(value) if "_deg" in name else value
             for name, value in cells.items()

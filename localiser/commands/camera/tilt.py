@@ -14,7 +14,7 @@ from localiser.errors import InputError
 if TYPE_CHECKING:
     from localiser.calibration import LogMount
     from localiser.config import Config
-    from localiser.storage import ImageEvent, Log
+    from localiser.storage import Log
 
 EPILOG = """Examples:
 
@@ -34,14 +34,21 @@ def tilt(
     """Find tilt and roll from the vertical edges in a LOG's images; the stated tilt may be several degrees off."""
     from dataclasses import replace
 
-    from localiser.calibration import mount_of_images
+    from localiser.calibration import mount_of_images, spread
     from localiser.documents import plain_name
-    from localiser.storage import require_new
+    from localiser.storage import require_new, require_odometry
 
     if out is not None:
         require_new(out)
     recorded, settings = open_with_settings(log, config, overrides)
-    used = usable_images(recorded, _MOST_IMAGES)
+    require_odometry(recorded, "finding the tilt")
+    images = [image for image in recorded.images if recorded.odometry.covers(image.t_ns)]
+    if not images:
+        raise InputError("expected a log with images, found edges that were measured already", path=recorded.path)
+    if any(image.mount is not None for image in images):
+        problem = "expected a camera that does not move on the robot, found a mount of its own for each image"
+        raise InputError(problem, path=recorded.path, field="images")
+    used = [images[i] for i in spread(len(images), _MOST_IMAGES)]
     poses = recorded.odometry.sampled([image.t_ns for image in used]).poses
     with progress("Looking", len(used)) as advance:
         found = mount_of_images(
@@ -60,21 +67,6 @@ def tilt(
         camera = recorded.camera.with_mount(tilt_rad=tilt_rad, roll_rad=roll_rad)
         to_folder(replace(recorded, name=plain_name(out.name), camera=camera), out)
         typer.echo(f"The log with this tilt and roll is in {out}")
-
-
-def usable_images(log: Log, most: int) -> list[ImageEvent]:
-    """Return at most `most` images, evenly spread over the log, taken while there is odometry. Raises InputError."""
-    from localiser.calibration import spread
-    from localiser.storage import require_odometry
-
-    require_odometry(log, "finding the tilt")
-    images = [image for image in log.images if log.odometry.covers(image.t_ns)]
-    if not images:
-        raise InputError("expected a log with images, found edges that were measured already", path=log.path)
-    if any(image.mount is not None for image in images):
-        problem = "expected a camera that does not move on the robot, found a mount of its own for each image"
-        raise InputError(problem, path=log.path, field="images")
-    return [images[i] for i in spread(len(images), most)]
 
 
 def _show(found: LogMount, images: int) -> None:

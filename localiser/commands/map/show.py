@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import MapFile, Picture, parse_poses, picture_path, summary_table
+from localiser.commands.map.options import MapFile, Picture, picture_path, summary_table
 from localiser.commands.options import is_quiet
 from localiser.commands.options import show as print_table
 
@@ -28,25 +28,18 @@ def show(
 ) -> None:
     """Draw a MAP from above, with the certainty of every landmark, and print what is known of them."""
     from localiser.commands.map.pictures import draw_map
-    from localiser.storage import read_map, read_plan
+    from localiser.mapping import known_poses
+    from localiser.storage import open_log, read_map, read_plan, read_poses
 
     landmark_map = read_map(map_file)
     picture = picture_path(out, map_file, "map")
-    driven = None if path is None else poses_of(path)
+    driven: Array | None = None
+    if path is not None and path.suffix in (".tum", ".txt", ".csv"):
+        driven = read_poses(path).poses
+    elif path is not None:
+        log = open_log(path)
+        driven = known_poses(log, "odometry" if log.groundtruth is None else "truth").poses
     draw_map(landmark_map, picture, driven, read_plan(plan) if plan else None)
     if not is_quiet():
         print_table(summary_table(landmark_map))
         typer.echo(f"Picture in {picture}")
-
-
-def poses_of(path: Path) -> Array:
-    """Return the poses (T, 3) of a log, or of a trajectory (TUM or CSV). Raises InputError."""
-    from localiser.mapping import known_poses
-    from localiser.storage import open_log
-
-    if path.suffix in (".tum", ".txt", ".csv"):
-        track, _ = parse_poses(str(path))
-        if not isinstance(track, str):
-            return track.poses
-    log = open_log(path)
-    return known_poses(log, "odometry" if log.groundtruth is None else "truth").poses
