@@ -111,7 +111,7 @@ def test_edges_continue_those_of_an_image_under_another_mount() -> None:
     increment = Increment(move, np.zeros((3, 3)), 0.05, 0.05)
 
     def densities(earlier: Sighting) -> list[float]:
-        persistent = observation.persistent_clutter(now.edges, earlier.edges, increment, 1e-4)
+        persistent = observation.persistent_clutter(now.edges, earlier, increment, 1e-4)
         return [float(persistent.max()), *observation.scene_clutter(now, [EarlierImage(earlier, increment, 1e-4)])[0]]
 
     forgotten = replace(before, edges=replace(before.edges, mount=None))  # as if the camera had not been turned

@@ -210,7 +210,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     weighed = _compared(mcl, state, found, image, rng)
     # Estimate: before resampling, which only adds noise. Which landmark does each edge show from there?
     located, association = _located(mcl, state, weighed, measured, image)
-    # Learn: which landmarks are seen, and how far do edges, the camera's height and the map err?
+    # Learn: which edges are clutter, which landmarks are seen, how far do edges, the camera's height and the map err?
+    clutter = _clutter(mcl, state, weighed, located)
     if weighed is not None and mcl.search is not None:
         pose, points = located.estimate.pose_as_seen, mcl.landmark_map.points
         state.belief = state.belief.seen(located.matches, points, pose, image.jump.novelty)
@@ -220,7 +221,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     state.particles = _resampled(mcl, state, weighed, located.ess, rng)
     seconds = (sighting.t_ns - state.at_ns) / 1e9
     state.wheels = state.wheels.located(None if weighed is None else located.estimate, seconds)
-    state.at_ns, state.weighed, state.seen = sighting.t_ns, True, sighting
+    state.at_ns, state.weighed, state.seen = sighting.t_ns, True, replace(sighting, clutter=clutter)
     return located
 
 
@@ -283,7 +284,7 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
         sighting = replace(sighting, scene=density)
         if seen is not None and novelty < 1.0:
             turn_var = float(covariance_of(motion, increment)[2, 2])
-            persistent = mcl.edges.persistent_clutter(sighting.edges, seen.edges, increment, turn_var)
+            persistent = mcl.edges.persistent_clutter(sighting.edges, seen, increment, turn_var)
             sighting = replace(sighting, persistent=persistent)
     if mcl.level is not None:
         edges, attitude = mcl.level.levelled(attitude, sighting.edges, increment.path_m, novelty)
@@ -303,7 +304,7 @@ def _weighed(
         if not state.weighed:  # many particles, many times: all wait for it
             observation = observation.on_processors(FIRST_THREADS)
         elif isinstance(mcl.motion, LinearisedMotion) and len(image.sighting.edges) and image.novelty > 0:
-            targets = observation.associate_prior(few, image.sighting, mcl.landmark_map).targets(inliers.mean)
+            targets = observation.associate_cloud(few, image.sighting, mcl.landmark_map).targets(inliers.mean)
             proposal = OptimalProposal(
                 observation.camera.at(image.sighting.edges.mount),
                 targets,
@@ -418,6 +419,14 @@ def _located(
         matches=Matches.none(0, len(mcl.landmark_map)) if association is None else association.matches(),
     )
     return located, association
+
+
+def _clutter(mcl: Mcl, state: FilterState, weighed: Particles | None, located: Located) -> Array | None:
+    """Return how probably each edge (E,) is of nothing on the map; None where no place is tracked."""
+    if mcl.edges is None or weighed is None or located.sighting is None:
+        return None
+    association = mcl.edges.associate_cloud(weighed, located.sighting, mcl.landmark_map)
+    return 1.0 - located.p_correct * (1.0 - association.clutter(state.inliers.mean))
 
 
 def _resampled(

@@ -144,9 +144,8 @@ class Association:
 
         where σ² has the variance of what particles predict. A landmark is certain from `SETTLED` on.
         """
-        clutter, (measured, measured_var) = self.sighting.persistent, self.frame.measured
-        own = inlier_rate * self.odds / (1.0 if clutter is None else clutter[self.edge])
-        total = np.bincount(self.edge, own, len(measured))
+        own, total = self._odds_at(inlier_rate)
+        measured, measured_var = self.frame.measured
         certain = np.flatnonzero(own >= SETTLED * (1 - inlier_rate + total[self.edge]))
         pair, edge = self.pair[certain], self.edge[certain]
         return Targets(
@@ -155,6 +154,17 @@ class Association:
             variance=measured_var[edge] + self.expected.variance[pair],
             is_slope=self.frame.parameters.kind == "slope",
         )
+
+    def clutter(self, inlier_rate: float) -> Array:
+        """Return the probability (E,) that an edge is of nothing on the map: 1 - Σ_k β_ek of `targets`."""
+        _, total = self._odds_at(inlier_rate)
+        return np.asarray((1 - inlier_rate) / (1 - inlier_rate + total))
+
+    def _odds_at(self, inlier_rate: float) -> tuple[Array, Array]:
+        """Return the weight of each pair (P,) beside 1 - inlier_rate for clutter, and the sum for each edge (E,)."""
+        clutter = self.sighting.persistent
+        own = inlier_rate * self.odds / (1.0 if clutter is None else clutter[self.edge])
+        return own, np.asarray(np.bincount(self.edge, own, len(self.frame.measured[0])), dtype=np.float64)
 
     def by_map_scale(self, scales: Array) -> Array:
         """Return log p(edges | scale) (K,) for scales (K,) of the map's sigmas.

@@ -11,7 +11,13 @@ between 0 and 1/near:
 The bearing of a landmark must be likelier than this density, and not than a uniform one over the width of the image.
 How an edge moves while the robot passes still identifies the landmark. Seeing it once more does not.
 
-**Persistent clutter**, which particles of one place are weighed by, is expected where the last image showed it.
+**Persistent clutter**, which particles of one place are weighed by, is expected where the last image showed it, by the
+probability p that the edge was clutter there:
+
+    density = p · span · N(b; b', σ²) + 1 - p,    at least 1.
+
+p is that over all poses which the particles then had. At the mean pose alone, an edge of a landmark that misses it by
+an error of the pose would be taken for clutter from then on, and could not correct the pose any more.
 
 **Scene clutter**, which the belief compares places by, is a Poisson process with the intensity
 
@@ -65,10 +71,10 @@ class EarlierFrame:
 # -- persistent clutter -----------------------------------------------------------------------------------------------
 
 
-def persistent_clutter(now: Frame, image: EarlierFrame) -> Array:
+def persistent_clutter(now: Frame, image: EarlierFrame, clutter: Array | None = None) -> Array:
     """Return how much denser clutter is at each edge (E,) than spread over the image, at least 1.
 
-    Denser only where just one edge of the last image may be continued, and by one edge: else nothing is known of where
+    clutter: (B,) probability that an edge of the last image was clutter; None: all were. Denser only where just one edge of the last image may be continued, and by one edge: else nothing is known of where
     a single one would be.
     """
     (bearing, sigma), (before, before_sigma) = now.bearings, image.frame.bearings
@@ -83,7 +89,8 @@ def persistent_clutter(now: Frame, image: EarlierFrame) -> Array:
     one = may & (may.sum(axis=0) == 1) & (may.sum(axis=1) == 1)[:, None]
     edge, of = np.nonzero(one)
     peak = np.exp(-0.5 * square[edge, of]) / np.sqrt(2 * np.pi * variance[edge, of])
-    density[edge] = np.maximum(field_of_view_rad(now.camera) * peak, 1.0)
+    share = np.ones(len(before))[of] if clutter is None else clutter[of]
+    density[edge] = np.maximum(share * field_of_view_rad(now.camera) * peak + 1.0 - share, 1.0)
     return density
 
 

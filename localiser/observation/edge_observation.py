@@ -127,7 +127,7 @@ class EdgeObservation:
         expected = expected_from(frame, poses, landmark_map, sighting.map_scale)
         return Association.of(frame, sighting, landmark_map, expected)
 
-    def associate_prior(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
+    def associate_cloud(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
         """Return how the edges compare with the landmarks seen from the mean pose of particles.
 
         An angle is then also as uncertain as what those of the particles predict that face the landmark.
@@ -165,10 +165,10 @@ class EdgeObservation:
 
     # -- clutter ----------------------------------------------------------------------------------------------------
 
-    def persistent_clutter(self, edges: Edges, before: Edges, increment: Increment, turn_var: float) -> Array:
-        """Return how dense clutter is at each edge (E,), from the edges of the image before."""
+    def persistent_clutter(self, edges: Edges, seen: Sighting, increment: Increment, turn_var: float) -> Array:
+        """Return how dense clutter is at each edge (E,), from the image before."""
         frame = self.frame(edges)
-        return clutter.persistent_clutter(frame, self._earlier(frame, before, increment, turn_var))
+        return clutter.persistent_clutter(frame, self._earlier(frame, seen.edges, increment, turn_var), seen.clutter)
 
     def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, Array]:
         """Return how dense clutter is at each edge (E,), and how much likelier it is if it continues an earlier one.

@@ -29,7 +29,8 @@ class Sighting:
 
     edges: of an image. measurement: an array that an observation of another kind understands, None where there is none.
     persistent: (E,) how much denser clutter is at each edge than anywhere in the image, by the image before. scene:
-    (E,) the same by the earlier images of the scene. None where nothing is known. map_scale: by how much landmarks are
+    (E,) the same by the earlier images of the scene. clutter: (E,) probability that an edge is of nothing on the map,
+    once the image has told where the robot is. None where nothing is known. map_scale: by how much landmarks are
     farther from where the map has them than it says.
     """
 
@@ -38,6 +39,7 @@ class Sighting:
     measurement: NDArray[Any] | None = None
     persistent: Array | None = None
     scene: Array | None = None
+    clutter: Array | None = None
     map_scale: float = 1.0
 
 

@@ -113,7 +113,7 @@ def test_posterior_is_that_of_blind_moves_with_far_more_of_the_particles(kind):
         before = cloud(count, seed=6)
         if guided:
             few = predict(take(before, np.arange(500)), MOVE, MOTION, rng)
-            targets = one.associate_prior(few, Sighting(0, edges), MAP).targets(0.9)
+            targets = one.associate_cloud(few, Sighting(0, edges), MAP).targets(0.9)
             moved = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.5).moved(before, MOVE, MOTION, rng)
         else:
             moved = predict(before, MOVE, MOTION, rng)
@@ -133,19 +133,19 @@ def test_only_edges_of_landmarks_in_no_doubt_are_targets():
     truth = np.array([0.02, -0.2, 0.05])
     edges, one = edges_at(truth), observation(known=False)
     order = np.argsort(edges.landmark_id)
-    near = one.associate_prior(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), MAP).targets(0.8)
+    near = one.associate_cloud(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), MAP).targets(0.8)
     assert near.points == pytest.approx(POINTS[edges.landmark_id[order]])
     assert (
-        len(one.associate_prior(cloud(500, sigma=0.3), Sighting(0, edges), MAP).targets(0.8).angle) == 0
+        len(one.associate_cloud(cloud(500, sigma=0.3), Sighting(0, edges), MAP).targets(0.8).angle) == 0
     )  # which is which cannot be told
     assert (
-        len(one.associate_prior(cloud(500, sigma=0.01), Sighting(0, edges), MAP).targets(0.02).angle) == 0
+        len(one.associate_cloud(cloud(500, sigma=0.01), Sighting(0, edges), MAP).targets(0.02).angle) == 0
     )  # nearly all edges are clutter
     # Two landmarks side by side: neither may claim the edge.
     twins = LandmarkMap.from_points(
         np.vstack([POINTS, POINTS[1] + [0.03, 0.0]]), bottom_m=np.zeros(4), top_m=np.full(4, 2.0)
     )
-    kept = one.associate_prior(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), twins).targets(0.8).points
+    kept = one.associate_cloud(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), twins).targets(0.8).points
     assert sorted(kept[:, 0]) == pytest.approx([-1.2, 1.5])
 
 

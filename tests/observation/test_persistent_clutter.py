@@ -18,7 +18,7 @@ from localiser.edges import Edges
 from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map
 from localiser.landmarks import LandmarkMap, SightParameters, field_of_view_rad
-from localiser.observation import Association, EdgeObservation, Frame, ObservationParameters, Sighting
+from localiser.observation import EdgeObservation, Frame, ObservationParameters, Sighting
 from localiser.observation.clutter import NEAR_M, EarlierFrame, persistent_clutter
 from localiser.particles import POSE, Particles
 
@@ -27,14 +27,19 @@ SPAN = field_of_view_rad(CAMERA)
 
 
 def clutter_density(
-    now: ArrayLike, sigma: float, before: ArrayLike, motion: ArrayLike = (0, 0, 0), turn_var: float = 0.0
+    now: ArrayLike,
+    sigma: float,
+    before: ArrayLike,
+    motion: ArrayLike = (0, 0, 0),
+    turn_var: float = 0.0,
+    clutter: Array | None = None,
 ) -> Array:
     """Return the density at bearings, after an image with bearings `before`, all with one sigma."""
     after, earlier = (
         Frame(Edges.from_columns(*np.broadcast_arrays(np.array(one, dtype=float), sigma, np.nan, sigma)), CAMERA)
         for one in (now, before)
     )
-    return persistent_clutter(after, EarlierFrame(earlier, np.array(motion, dtype=float), turn_var))
+    return persistent_clutter(after, EarlierFrame(earlier, np.array(motion, dtype=float), turn_var), clutter)
 
 
 def test_nothing_is_known_without_a_last_image() -> None:
@@ -46,6 +51,12 @@ def test_what_stands_where_it_was_is_as_dense_as_the_sigmas_say() -> None:
     bearing = np.array([0.2, -0.3])
     found = clutter_density(bearing + 0.05, 0.01, bearing, (0, 0, 0.05))
     np.testing.assert_allclose(found, SPAN / np.sqrt(2 * np.pi * 2e-4))
+
+
+def test_what_was_a_landmark_is_not_where_clutter_is_denser() -> None:
+    bearing, peak = np.array([0.2, -0.3, 0.4]), SPAN / np.sqrt(2 * np.pi * 2e-4)
+    found = clutter_density(bearing, 0.01, bearing, clutter=np.array([1.0, 0.5, 0.0]))
+    np.testing.assert_allclose(found, [peak, 0.5 * peak + 0.5, 1.0])
 
 
 def test_of_two_that_may_continue_one_nothing_is_known() -> None:
@@ -105,7 +116,7 @@ def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slop
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind, sight=sight))
     edges = Sighting(0, one_edge(np.radians(10.0)))
     step = Increment.from_mean([0.0, -0.1, 0.0])
-    again = replace(edges, persistent=observation.persistent_clutter(edges.edges, edges.edges, step, 1e-6))
+    again = replace(edges, persistent=observation.persistent_clutter(edges.edges, edges, step, 1e-6))
     new, known = (np.diff(observation.log_likelihood(poses, each, landmark_map)) for each in (edges, again))
     assert 0.0 < known < 0.5 * new
 
@@ -120,27 +131,24 @@ def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tu
     poses = [np.zeros(3), np.asarray(step)]
     seen = [robot_from_map(compose(pose, camera.robot_from_level), thing) for pose in poses]
     before, after = (one_edge(float(np.arctan2(x, -z))) for x, z in seen)
-    (clutter,) = observation.persistent_clutter(after, before, Increment.from_mean(step), 0.0)
+    (clutter,) = observation.persistent_clutter(after, Sighting(0, before), Increment.from_mean(step), 0.0)
     right, back = robot_from_map(camera.robot_from_level, compose(step, camera.robot_from_level)[:2])
     across = float(right + back * 0.1)  # at a bearing of 0.1
     sigma = np.sqrt(2 * SIGMA**2 + across**2 / 12)
     assert clutter == pytest.approx(field_of_view_rad(camera) / np.sqrt(2 * np.pi) / sigma, rel=0.2)
 
 
-def test_the_filter_knows_what_the_last_image_showed() -> None:
-    clutter = []
-
-    class Listening(EdgeObservation):
-        def associate_prior(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
-            clutter.append(float(sighting.persistent[0]))
-            return super().associate_prior(particles, sighting, landmark_map)
-
-    filter_ = mcl.Mcl(arena()[0], Listening(CAMERA, ObservationParameters()), mcl.MclParameters(particles=50))
-    state, rng = mcl.FilterState(), np.random.default_rng(0)
+@pytest.mark.parametrize(("bearings", "is_dense"), [((-0.2, -0.2), True), ((-0.2, 0.3), False), ((0.14, 0.14), False)])
+def test_the_filter_knows_what_the_last_image_showed(bearings: tuple[float, float], is_dense: bool) -> None:
+    """What is on no map is expected again, another thing is not, and neither is the landmark at 8°."""
+    observation = EdgeObservation(CAMERA, ObservationParameters(sight=SightParameters(range_max_m=40.0)))
+    filter_ = mcl.Mcl(arena()[0], observation, mcl.MclParameters(particles=50))
+    state, rng, located = mcl.FilterState(), np.random.default_rng(0), []
     events: list[mcl.Event] = [mcl.Start(0, np.zeros(3), np.eye(3) * 1e-4)]
-    for t, bearing in enumerate([0.1, 0.1, -0.3]):  # the same thing twice, then another
+    for t, bearing in enumerate(bearings):
         events += [mcl.Odometry(t, np.array([0.0, -0.1 * t, 0.0])), mcl.Sighting(t, one_edge(bearing))]
     for event in events:
-        list(mcl.step(filter_, state, event, rng))
-    assert clutter[0] > 5.0
-    assert clutter[1] == 1.0
+        located += list(mcl.step(filter_, state, event, rng))
+    sighting = located[-1].sighting
+    assert (sighting.persistent[0] > 5.0) == is_dense
+    assert sighting.persistent[0] < 2.0 or is_dense

@@ -107,7 +107,7 @@ def test_a_wrong_start_is_noticed() -> None:
 
 
 def test_a_search_changes_nothing_while_the_robot_is_where_it_is_believed() -> None:
-    """The same particles, to the last bit, as without a search."""
+    """The same estimates as without a search, to a millimetre: only p_correct differs, by which clutter is expected."""
     driven = drive(25)
     start = Start(0, driven.truth[0], np.diag([0.1, 0.1, 0.05]) ** 2)
     for one, other in zip(
@@ -115,7 +115,7 @@ def test_a_search_changes_nothing_while_the_robot_is_where_it_is_believed() -> N
         located([start, *driven.events], mcl=replace(FILTER, search=None)),
         strict=True,
     ):
-        np.testing.assert_array_equal(one.particles.columns, other.particles.columns)
+        np.testing.assert_allclose(one.estimate.pose, other.estimate.pose, atol=1e-3)
         assert one.p_correct > 0.9
 
 
