@@ -1,8 +1,19 @@
 """The particle filter: Monte Carlo localisation and what it believes."""
 
 from localiser.filter.attitude import MOUNT, Attitude, Level
-from localiser.filter.confidence import CORRECT_M, CORRECT_RAD, LEAST_SURE, NOT_FOUND, SURE
-from localiser.filter.events import Anywhere, Event, Located, Odometry, Start, track_of
+from localiser.filter.events import (
+    CORRECT_M,
+    CORRECT_RAD,
+    LEAST_SURE,
+    NOT_FOUND,
+    SURE,
+    Anywhere,
+    Event,
+    Located,
+    Odometry,
+    Start,
+    track_of,
+)
 from localiser.filter.frames import Finding, Image, LocatedFrame, Markers
 from localiser.filter.mcl import FilterState, Mcl, MclParameters, finish, step
 from localiser.filter.optimal_proposal import warm_up

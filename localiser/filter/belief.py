@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from localiser import particles
-from localiser.filter.confidence import SURE, MapWarning, Reason, is_near, near_weight
+from localiser.filter.events import SURE, MapWarning, Reason, is_near, near_weight
 from localiser.filter.scene import Jump
 from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.filter.confidence import LEAST_SURE, NOT_FOUND, SURE
-from localiser.filter.events import Located
+from localiser.filter.events import LEAST_SURE, NOT_FOUND, SURE, Located
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.observation import Matches, marked_landmarks

@@ -19,8 +19,7 @@ from localiser import particles
 from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief, Move
-from localiser.filter.confidence import SURE
-from localiser.filter.events import Anywhere, Event, Located, Odometry, Start
+from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_silent, moves_between
 from localiser.filter.height import (
     COARSE_NOVELTY,
     LEAST_NOVELTY,
@@ -29,7 +28,6 @@ from localiser.filter.height import (
     seen_from_offset,
 )
 from localiser.filter.map_error import SCALES, MapError
-from localiser.filter.moves import is_silent, moves_between
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering, Weighed

@@ -74,8 +74,8 @@ class EarlierFrame:
 def persistent_clutter(now: Frame, image: EarlierFrame, clutter: Array | None = None) -> Array:
     """Return how much denser clutter is at each edge (E,) than spread over the image, at least 1.
 
-    clutter: (B,) probability that an edge of the last image was clutter; None: all were. Denser only where just one edge of the last image may be continued, and by one edge: else nothing is known of where
-    a single one would be.
+    clutter: (B,) probability that an edge of the last image was clutter; None: all were. Denser only where just one
+    edge of the last image may be continued, and by one edge: else nothing is known of where a single one would be.
     """
     (bearing, sigma), (before, before_sigma) = now.bearings, image.frame.bearings
     density = np.ones(len(bearing))

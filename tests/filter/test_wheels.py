@@ -18,7 +18,7 @@ from localiser.camera import Camera, Mount
 from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
-from localiser.filter.moves import is_silent
+from localiser.filter.events import is_silent
 from localiser.filter.wheels import ASTRAY, Evidence, Wheels, contradicts
 from localiser.geometry import Increment, between, compose, wrap_angle
 from localiser.particles import POSE, Estimate

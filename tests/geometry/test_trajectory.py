@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from short_log import corridor_with_edges
 
-from localiser.filter.events import Odometry
-from localiser.filter.moves import moves_between
+from localiser.filter.events import Odometry, moves_between
 from localiser.geometry import (
     UNKNOWN_TWIST,
     Array,

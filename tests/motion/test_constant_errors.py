@@ -17,7 +17,7 @@ from localiser.camera import Camera, Mount
 from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, mcl, step
-from localiser.filter.moves import moves_between
+from localiser.filter.events import moves_between
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap, sight
 from localiser.motion import MotionParameters, predict, wheel_cov

@@ -13,7 +13,7 @@ from localiser import geometry, particles
 from localiser.edges import Edges
 from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.filter.belief import BARE, Belief, Move
-from localiser.filter.confidence import is_near
+from localiser.filter.events import is_near
 from localiser.filter.scene import Jump
 from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment, Trajectory
