@@ -19,7 +19,7 @@ from edge_scenes import Light
 from mrclam import MrclamReader
 from program import fingerprint
 
-from board import floors, racks
+from board import floors, marked, racks
 from localiser import LandmarkMap, Trajectory, open_log, read_config, simulate_log
 from localiser.mapping import build_map, edges_of_log
 from localiser.simulate import odometry_of
@@ -36,13 +36,22 @@ MRCLAM = ROOT / "configs" / "mrclam.yaml"
 RENDERED = {
     "office": lambda: yaml.safe_load(floors.OFFICE.read_text(encoding="utf-8")),
     "racks": partial(racks.world_of, 0),
-} | {f"floor{floor}": partial(floors.world_of, floor) for floor in range(floors.FLOORS)}
+    "shop": marked.world_of,
+}
+RENDERED |= {f"floor{floor}": partial(floors.world_of, floor) for floor in range(floors.FLOORS)}
+RENDERED |= {
+    f"shop {change}": partial(marked.world_of, change)
+    for change in ("mapping", "moved", "twice", "bare", "bare mapping")
+}
+MARKERS = {"edges.markers": "tag36h11"}  # of every shop, so that one without markers differs by them alone
 EVERY_THIRD = slice(None, None, 3)
 REAL_MAPS = {
     "vicon even": ("vicon_room/left_even", "vicon_room/right_even"),
     "vicon odd": ("vicon_room/left_odd", "vicon_room/right_odd"),
     "office even": ("office_real/even",),
     "office odd": ("office_real/odd",),
+    "shop": ("shop mapping",),
+    "shop bare": ("shop bare mapping",),
 }
 
 
@@ -78,7 +87,8 @@ def log_of(name: str) -> Log:
             landmark_map=log.landmark_map,
             groundtruth=log.groundtruth,
         )
-    return open_log(folder)
+    log = open_log(folder)
+    return replace(log, settings=log.settings | MARKERS) if name.startswith("shop") else log
 
 
 @cache

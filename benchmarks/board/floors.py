@@ -25,7 +25,7 @@ GONE, MOVED_M = 0.35, 0.8  # share of the furniture that another floor does not 
 FREE_M = 0.55  # between furniture and the robot's path
 LIFT_S = 8.0  # in which the robot stands in the lift and no image comes
 HZ = 2.5  # half of what the other drives have, as there are four to render
-LATER = 12  # images: the drive with seed s begins, or takes the lift, so many later
+LATER = 12  # images from one begin of a drive, or one time of the lift, to the next
 
 
 def world_of(floor: int) -> dict[str, Any]:
@@ -73,20 +73,24 @@ def drives() -> tuple[Site, list[Drive]]:
     return Site.beside(maps), found
 
 
-def on(floor: int, seed: int, *, mapped: bool = True) -> Drive:
-    """Return a drive on one floor with the maps of all, or of all others; another part of the path with each seed."""
+def on(seed: int, *, mapped: bool = True) -> Drive:
+    """Return a drive with the maps of all floors, or of all others; each seed takes the next floor, every fourth later.
+
+    From one part of the path to the next are `LATER` images.
+    """
     site, found = drives()
-    drive, first = found[floor], LATER * seed
+    drive, first = found[seed % FLOORS], LATER * (seed // FLOORS)
     if not mapped:
         site = Site.beside([one for one in site.maps if one.name != drive.name])
     truth = drive.truth[first:] + (site.origin(drive.name) if mapped else 0.0)
     return replace(drive, landmark_map=site, t_ns=drive.t_ns[first:], edges=drive.edges[first:], truth=truth)
 
 
-def lift(floor: int, other: int, seed: int) -> Drive:
-    """Return a drive that goes on in the same place of another floor, 8 s later; the wheels stood still meanwhile."""
+def lift(seed: int) -> Drive:
+    """Return a drive that goes on in the same place of the next floor, 8 s later; the wheels stood still meanwhile."""
     site, found = drives()
-    one, two, count = found[floor], found[other], 4 * LATER + LATER * seed
+    one, two = found[seed % FLOORS], found[(seed + 1) % FLOORS]
+    count = LATER * (4 + seed // FLOORS)
     wait_ns, at_ns = int(1e9 * LIFT_S), int(one.t_ns[count])
     before, after = one.odometry.t_ns <= at_ns, two.odometry.t_ns > at_ns
     last, here = one.odometry.poses[before][-1], two.odometry.at(at_ns)

@@ -5,11 +5,13 @@ Shelves stand in rows that look the same from every aisle, so that edges alone c
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import yaml
 
-from board.floors import OFFICE
+from board.floors import LATER, OFFICE
+from board.run import Drive
 
 AISLE_M, DEPTH_M, LENGTH_M, SHELVES = 2.4, 0.8, 3.6, 3
 PAPER_M, BOTTOM_M = 0.4, 0.5  # of a marker with its white rim, hung below the height of the camera
@@ -21,7 +23,7 @@ def world_of(change: str = "") -> dict[str, Any]:
     """Return the shop as a world's file has it.
 
     change: "moved": the second marker hangs 2 m off; "twice": the first has a copy at the far end; "bare": no
-    marker hangs there; "mapping": another drive, which the map is made from.
+    marker hangs there; "mapping", "bare mapping": another drive, which the map is made from.
     """
     world: dict[str, Any] = yaml.safe_load(OFFICE.read_text(encoding="utf-8"))
     materials = {name: world["materials"][name] for name in ("wall", "shelf", "desk", "floor", "ceiling")}
@@ -37,7 +39,7 @@ def world_of(change: str = "") -> dict[str, Any]:
     for number in range(SHELVES):
         left = AISLE_M + number * (AISLE_M + DEPTH_M)
         hung = [{"at_m": DEPTH_M / 2, "material": f"tag{number}"}]
-        if change == "bare" or (change == "moved" and number == 1):
+        if "bare" in change or (change == "moved" and number == 1):
             hung = []
         size = {"width_m": PAPER_M, "bottom_m": BOTTOM_M, "top_m": BOTTOM_M + PAPER_M, "side": "left"}
         ends = {"to": [left, -3.0], "from": [left + DEPTH_M, -3.0], "height_m": 1.6, "material": "shelf"}
@@ -51,7 +53,7 @@ def world_of(change: str = "") -> dict[str, Any]:
             hung = [{"at_m": 0.3, "material": f"tag{number}", **size}]
             walls.append(board | {"posters": hung})
     # To and fro before the shelves, so that the camera looks at their ends again and again.
-    near, far, step = (-1.9, -0.6, 1.5) if change != "mapping" else (-1.7, -0.9, 1.3)
+    near, far, step = (-1.9, -0.6, 1.5) if "mapping" not in change else (-1.7, -0.9, 1.3)
     way = [(0.8 + k * step, far if k % 2 == 0 else near) for k in range(int((width - 1.6) / step) + 1)]
     path = [{"to": [round(x, 3), z], "pause_s": 0.4} for x, z in way]
     camera = world["camera"] | {"width": 320, "height": 240, "focal_px": 277.0}
@@ -64,3 +66,14 @@ def world_of(change: str = "") -> dict[str, Any]:
         "camera": camera,
         "drive": world["drive"] | {"path": path, "image_hz": HZ},
     }
+
+
+def on(name: str, seed: int) -> Drive:
+    """Return a drive through the shop on the map of its markers; another part of the path with each seed."""
+    from board.drives import drive_of, map_of
+
+    drive, first = drive_of(name), LATER * seed
+    found = map_of("shop bare" if name == "shop bare" else "shop")
+    return replace(
+        drive, landmark_map=found, t_ns=drive.t_ns[first:], edges=drive.edges[first:], truth=drive.truth[first:]
+    )

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from edge_scenes import Light
 
-from board import changes
+from board import changes, floors, marked
 from board.drives import REAL_MAPS, drive_of, is_there, on_map, third_of
 from board.run import Drive, Values, figures, run
 from board.worlds import hours_of
@@ -34,7 +34,8 @@ OTHER_BUILDINGS = (
     ("office_real/odd", "vicon even"),
     ("vicon_room/left_odd", "office even"),
 )
-OF_WRONG_MAPS = ("sure_wrong", "ece", "log_score", "matched", "warned_s", "ms")  # to be sure is no merit there
+FLOORS = tuple(f"floor{floor}" for floor in range(floors.FLOORS))
+OF_WRONG_MAPS = ("sure_wrong", "ece", "log_score", "warned_s", "ms")  # to be sure is no merit there
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +75,9 @@ def misplaced(name: str, seed: int) -> Values:
     return figures(run(drive, seed, start=changes.elsewhere(drive, seed)))
 
 
-def carried(name: str, seed: int) -> Values:
+def carried(drive: Callable[[int], Drive], seed: int) -> Values:
     """Return what becomes of a robot that is carried away, from then on."""
-    drive = changes.carried(drive_of(name), seed)
+    drive = changes.carried(drive(seed), seed)
     return figures(run(drive, seed), first=drive.carried)
 
 
@@ -117,7 +118,7 @@ def _mapped(name: str, change: Callable, seed: int) -> Drive:
 
 def every_row() -> list[Row]:
     """Return all rows, real ones first."""
-    return [*_real(), *_rendered(), *_trust(), *_faults()]
+    return [*_real(), *_rendered(), *_trust(), *_floors(), *_faults()]
 
 
 def _real() -> Iterator[Row]:
@@ -155,7 +156,7 @@ def _trust() -> Iterator[Row]:
     for name in RENDERED:
         yield Row("trust", f"start unknown, {name}", (name,), partial(tracked, _log(name), None, "line"))
     for name in ("office", "house", "bookstore"):
-        yield Row("trust", f"carried away, {name}", (name,), partial(carried, name))
+        yield Row("trust", f"carried away, {name}", (name,), partial(carried, _log(name)))
     for name in ("corridor", "house", "bookstore"):
         yield Row("trust", f"start stated wrong, {name}", (name,), partial(misplaced, name))
     for name, other in OTHER_BUILDINGS:
@@ -172,6 +173,8 @@ def _trust() -> Iterator[Row]:
     for name in ("corridor", "house"):
         drive = partial(_mapped, name, lambda one, _: changes.mirrored(one))
         yield Row("wrong map", f"{name} mirrored", (name,), partial(on_wrong_map, drive, "own"))
+    judged = partial(on_wrong_map, partial(floors.on, mapped=False), None)
+    yield Row("wrong map", "a floor that nobody mapped, start unknown", FLOORS, judged)
     for label, change in (("30 % removed", changes.removed), ("30 % moved", changes.moved), ("3 cm off", changes.off)):
         for name in ("house", "bookstore"):
             drive = partial(_mapped, name, change)
@@ -180,6 +183,24 @@ def _trust() -> Iterator[Row]:
 
 def _on_other(name: str, other: str, _: int) -> Drive:
     return replace(drive_of(name), landmark_map=drive_of(other).landmark_map)
+
+
+def _floors() -> Iterator[Row]:
+    yield Row("floors", "start unknown on one of four floors", FLOORS, partial(tracked, floors.on, None, "line"))
+    yield Row("floors", "lift to another floor", FLOORS, _lifted)
+    for name, label in (("shop", "shop"), ("shop bare", "shop without markers")):
+        needs = (name, f"{name} mapping")
+        drive = partial(marked.on, name)
+        yield Row("markers", f"{label}, start unknown", needs, partial(tracked, drive, None, "line"))
+        yield Row("markers", f"{label}, carried away", needs, partial(carried, drive))
+    for change, label in (("shop moved", "one moved by 2 m"), ("shop twice", "one hung twice")):
+        drive, needs = partial(marked.on, change), (change, "shop mapping")
+        yield Row("markers", f"shop, {label}, start unknown", needs, partial(tracked, drive, None, "line"))
+
+
+def _lifted(seed: int) -> Values:
+    drive = floors.lift(seed)
+    return figures(run(drive, seed, start=None), first=drive.carried)
 
 
 def _faults() -> Iterator[Row]:

@@ -58,7 +58,7 @@ class Record:
 
     seconds: (T,) since the first. error: (T, 3) of the estimate in x, z, heading; nan where the map is not that of the
     building, so that nothing is right. p_correct: (T,). warned: (T,) whether it said that the map does not fit. nees:
-    (T,). matched: share of all edges that belong to a landmark. ms: (T,) processor time since the image before.
+    (T,). ms: (T,) processor time since the image before.
     """
 
     seconds: Array
@@ -66,7 +66,6 @@ class Record:
     p_correct: Array
     warned: NDArray[np.bool_]
     nees: Array
-    matched: float
     ms: Array
 
     @property
@@ -108,13 +107,17 @@ def run(
         start = drive.truth[0] + START_SIGMA * robot.rng.standard_normal(3)
     if start is not None:
         robot.start(np.append(start[:2], wrap_angle(start[2])), np.diag(START_SIGMA**2), int(drive.t_ns[0]))
-    return record_of(*located(robot, drive), drive.truth if same_building else np.full(drive.truth.shape, np.nan))
+    truth = drive.truth if same_building else np.full(drive.truth.shape, np.nan)
+    return record_of(*located(robot, drive), truth, robot.landmark_map)
 
 
-def record_of(frames: list[LocatedFrame], ms: list[float], truth: Array) -> Record:
-    """Return what was said in T images, and how wrong it was. truth: (T, 3), nan where nothing is right."""
+def record_of(frames: list[LocatedFrame], ms: list[float], truth: Array, landmark_map: LandmarkMap) -> Record:
+    """Return what was said in T images, and how wrong it was. truth: (T, 3), nan where nothing is right.
+
+    landmark_map: in whose frame truth is, that of all maps where there are several.
+    """
     found = [frame.located for frame in frames]
-    error = np.array([one.estimate.pose for one in found]) - truth
+    error = np.array([one.located.estimate.pose + landmark_map.origin(one.map_name) for one in frames]) - truth
     error[:, 2] = wrap_angle(error[:, 2])
     return Record(
         seconds=np.array([one.t_ns - found[0].t_ns for one in found]) / 1e9,
@@ -122,7 +125,6 @@ def record_of(frames: list[LocatedFrame], ms: list[float], truth: Array) -> Reco
         p_correct=np.array([one.p_correct for one in found]),
         warned=np.array([bool(one.warning) for one in found]),
         nees=nees(error, np.array([one.estimate.pose_cov for one in found])),
-        matched=float(np.concatenate([frame.matches.landmark >= 0 for frame in frames]).mean()),
         ms=np.array(ms),
     )
 
@@ -179,7 +181,6 @@ FIGURES = {
     "log_score": Figure(
         "log score", "mean logarithm of the probability that was given to what is true", 3, more_is_better=True
     ),
-    "matched": Figure("matched", "share of the edges that belong to a landmark", is_rate=True, is_judged=False),
     "warned_s": Figure("warned s", "seconds until it is said that the map does not fit", 1, is_judged=False),
     "ms": Figure("ms", "processor time of an image, mean; edges not counted", 1, is_judged=False),
     "recall": Figure("recall", "share of the hand-labelled edges that are found", is_rate=True, more_is_better=True),
@@ -219,7 +220,6 @@ def figures(record: Record, *, first: int = 0, stated: bool = False) -> Values:
         "sure_wrong": float((sure & ~right).mean()),
         "ece": float(np.abs(gaps).sum() / len(right)),
         "log_score": float(np.log(said).mean()),
-        "matched": record.matched,
         "warned_s": float(warned[0] - record.seconds[first]) if len(warned) else NEVER,
         "ms": float(record.ms[1:].mean()),
     }

@@ -26,7 +26,7 @@ def record(error_m: list[float], p_correct: list[float], **known: Any) -> Record
     count = len(error_m)
     columns = {"warned": np.zeros(count, dtype=bool), "nees": np.full(count, 3.0), "ms": np.ones(count)}
     error = np.column_stack([error_m, np.zeros((count, 2))])
-    return Record(0.2 * np.arange(count), error, np.array(p_correct), matched=0.5, **(columns | known))
+    return Record(0.2 * np.arange(count), error, np.array(p_correct), **(columns | known))
 
 
 # -- drives ------------------------------------------------------------------------------------------------------------
@@ -210,7 +210,7 @@ def test_to_be_sure_is_no_merit_on_a_wrong_map(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(rows, "MINUTES", 0.1)
     (row,) = (one for one in every_row() if one.title == "wrong map: floor on another's")
     values = row.judged(1)
-    assert set(values) == {"sure_wrong", "ece", "log_score", "matched", "warned_s", "ms"}
+    assert set(values) == {"sure_wrong", "ece", "log_score", "warned_s", "ms"}
     assert 0.0 <= values["sure_wrong"] <= 1.0 and values["log_score"] < 0.0
 
 
@@ -218,7 +218,8 @@ def test_titles_are_unique_and_every_situation_has_a_row() -> None:
     every = every_row()
     assert len({row.title for row in every}) == len(every)
     groups = Counter(row.group for row in every)
-    assert set(groups) == {"real", "edges", "rendered", "simulated", "trust", "wrong map", "worn map", "faults"}
+    named = {"real", "edges", "rendered", "simulated", "trust", "wrong map", "worn map", "floors", "markers", "faults"}
+    assert set(groups) == named
     assert every[0].group == "real" and 15 < sum(row.quick for row in every) < 25
 
 
