@@ -1,7 +1,5 @@
 """The configuration: defaults, file, options; what is wrong is named with its place."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path

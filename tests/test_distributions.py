@@ -1,7 +1,5 @@
 """What is handed out holds what the project is and nothing else; its wheel works where nobody ever saw a clone."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

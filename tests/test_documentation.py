@@ -1,7 +1,5 @@
 """The pages of the documentation: links lead somewhere, names and commands exist, and code blocks run as written."""
 
-from __future__ import annotations
-
 import copy
 import importlib
 import re
@@ -17,7 +15,7 @@ import typer
 from documented import PAGES, TUTORIALS, blocks, commands, mentions, stands_for_another
 from folders import ROOT
 from PIL import Image
-from short_log import CORRIDOR, Localiser, cut_log
+from short_log import CORRIDOR, cut_log
 from typer.core import TyperGroup
 
 from localiser import edges, storage
@@ -133,9 +131,7 @@ def test_programs_beside_the_package_have_the_options_that_are_documented() -> N
 @pytest.mark.parametrize(
     "page", [page for page in TUTORIALS if page.stem != "fleet"], ids=lambda page: page.stem
 )  # that one waits for robots: tests/live/test_processes.py
-def test_a_tutorial_runs_as_it_is_written(
-    page: Path, localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tutorial_runs_as_it_is_written(page, localiser, tmp_path, monkeypatch):
     """From top to bottom, on the first images of the example: what is marked as shell or Python."""
     shipped = tmp_path / "localiser" / "example"
     (shipped / "logs").mkdir(parents=True)
@@ -180,9 +176,7 @@ one's own; the tests of commands run those."""
 
 
 @pytest.mark.slow
-def test_quick_commands_run_as_they_are_written(
-    localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_quick_commands_run_as_they_are_written(localiser, tmp_path, monkeypatch):
     """Beside the first images of the log that ships."""
     documented = [words for page in PAGES for words in commands(page)]
     (tmp_path / "logs").mkdir()
@@ -228,9 +222,7 @@ SLOW = ("motion model", "sink", "docs/api.md")  # along the whole of a log
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in PAGES_OF_CODE]
 )
-def test_code_prints_what_the_page_says(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_code_prints_what_the_page_says(name, monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
     code = PAGES_OF_CODE[name]
     exec(compile(code, name, "exec"), {"__name__": "page"})

@@ -1,7 +1,5 @@
 """Image files that ask for far more memory or time than their pixels: from files, bags, plans, videos and messages."""
 
-from __future__ import annotations
-
 import zlib
 from pathlib import Path
 
@@ -147,9 +145,7 @@ print(read_plan(Path(sys.argv[1])).occupied.all())
         (b"MJPG", bombs.jpeg_of_scans(LARGE, 1000), LARGE, "frame 7: expected a JPEG of at most 100 scans"),
     ],
 )
-def test_frames_of_a_video_are_bounded(
-    tmp_path: Path, codec: bytes, frame: bytes, size: tuple[int, int], expected: str
-) -> None:
+def test_frames_of_a_video_are_bounded(tmp_path, codec, frame, size, expected):
     plain = bombs.black(size) if codec == b"MPNG" else bombs.jpeg_of_scans(size, 2)
     (tmp_path / "drive.avi").write_bytes(bombs.movie([plain] * 7 + [frame] * 13, size, codec))
     (tmp_path / "camera.yaml").write_text(

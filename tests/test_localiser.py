@@ -1,7 +1,5 @@
 """The one object: it locates what a replay does, goes on from a saved state, and refuses what cannot work."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess
@@ -400,9 +398,7 @@ def refused_by_replay(command: CommandLine, log: Path, out: Path, *settings: str
 
 
 @pytest.mark.parametrize(("settings", "told"), [([KNOWN], NOT_KNOWN), ([SLOPE], LEVEL), ([KNOWN, SLOPE], NOT_KNOWN)])
-def test_replay_and_live_refuse_the_same_settings_with_the_same_words(
-    localiser: CommandLine, tmp_path: Path, settings: list[str], told: str
-) -> None:
+def test_replay_and_live_refuse_the_same_settings_with_the_same_words(localiser, tmp_path, settings, told):
     """All that a live run may refuse; a replay also says which file of the log does not fit."""
     log = cut_log(CORRIDOR, tmp_path / "log", 2)
     write_camera(UNTILTED, log / "camera.yaml")
@@ -427,9 +423,7 @@ def test_a_camera_that_live_learns_of_later_is_refused_with_the_same_words() -> 
         (KNOWN, "observation.association: `known` cannot look for a robot on the whole map"),
     ],
 )
-def test_settings_that_only_edges_measured_elsewhere_do_not_fit(
-    localiser: CommandLine, tmp_path: Path, setting: str, told: str
-) -> None:
+def test_settings_that_only_edges_measured_elsewhere_do_not_fit(localiser, tmp_path, setting, told):
     """A live run has images; users of the library may have bearings alone."""
     log = write_edge_log(tmp_path / "log")
     one = Localiser(open_log(log).landmark_map, LOG.camera, read_config(None, [setting]))
@@ -452,9 +446,7 @@ def test_an_edge_of_a_landmark_that_the_map_does_not_have_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("start_ns", "located_ns"), [(None, []), (30, []), (20, [20]), (15, [20])])
-def test_a_start_drops_the_images_that_wait_and_were_taken_before_it(
-    start_ns: int | None, located_ns: list[int]
-) -> None:
+def test_a_start_drops_the_images_that_wait_and_were_taken_before_it(start_ns, located_ns):
     one = of_corridor()
     one.start([0, 0, 0], np.eye(3))
     one.odometry(10, [0, 0, 0])

@@ -1,7 +1,5 @@
 """Markers, from pixels to poses: a marker tells which of two like places it is, and one that was moved does no harm."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

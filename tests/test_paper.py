@@ -1,7 +1,5 @@
 """`python -m paper`: the paper's own figures come out, and its motions are measured as exactly as is claimed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files for ROS 2 and Docker: what they call can be called."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Comparisons in pairs: intervals against scipy, Holm's correction, which runs are pairs; the tables of a batch."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

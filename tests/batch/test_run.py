@@ -1,7 +1,5 @@
 """The batch: rows, what is not done again, failures, exit codes, workers; what it runs, and what runs are called."""
 
-from __future__ import annotations
-
 import csv
 import os
 import shutil
@@ -79,9 +77,7 @@ def test_what_is_done_is_not_done_again(localiser: Localiser, log: Path, tmp_pat
     assert began == [0, 1, 2]
 
 
-def test_a_failed_run_is_a_row_with_its_reason_and_is_tried_again(
-    localiser: Localiser, log: Path, tmp_path: Path, began: list[int]
-) -> None:
+def test_a_failed_run_is_a_row_with_its_reason_and_is_tried_again(localiser, log, tmp_path, began):
     without_map = cut_log(CORRIDOR, tmp_path / "without", IMAGES)
     text = (without_map / "log.yaml").read_text()
     (without_map / "log.yaml").write_text("".join(line for line in text.splitlines(True) if "map" not in line))
@@ -158,9 +154,7 @@ def test_the_same_run_twice_is_refused(localiser: Localiser, log: Path, tmp_path
     assert batch(localiser, tmp_path / "out", log, log).exit_code == 0
 
 
-def test_a_run_that_is_kept_as_ctrl_c_comes_is_in_the_table(
-    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_kept_as_ctrl_c_comes_is_in_the_table(localiser, log, tmp_path, monkeypatch):
     asked: list[Path] = []
 
     def stopped_at_first(path: Path) -> dict[str, Any]:

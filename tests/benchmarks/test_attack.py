@@ -1,7 +1,5 @@
 """Inputs that once were faults are told now; the harness finds faults, and kills what takes too much."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import sys

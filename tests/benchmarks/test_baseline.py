@@ -1,7 +1,5 @@
 """How benchmarks/baseline.py compares digests. Nothing is measured but the log of posts."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -34,9 +32,7 @@ def test_what_differs_or_was_not_measured_is_told() -> None:
 
 
 @pytest.mark.parametrize(("machine", "code"), [("here", 1), ("elsewhere", 0)])
-def test_another_digest_is_a_loss_where_bytes_can_be_equal(
-    machine: str, code: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_digest_is_a_loss_where_bytes_can_be_equal(machine, code, monkeypatch, tmp_path, capsys):
     file = tmp_path / "file.json"
     known = baseline.machine() if machine == "here" else {"processor": "another"}
     file.write_text(json.dumps({"machine": known, "digests": {"same": "ab", "other": "ab", "no data": "ab"}}))
@@ -63,9 +59,7 @@ def test_logs_for_digests_are_the_same_every_time(tmp_path: Path) -> None:
     assert (first / "edges.csv").read_bytes() == (second / "edges.csv").read_bytes()
 
 
-def test_what_is_above_its_ceiling_ends_the_check(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_above_its_ceiling_ends_the_check(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["code_size.py", "--check"])
     found = code_size.counted(code_size.by_package())
     assert found["commands"] > 10 and found["lines: all of localiser"] > 10_000

@@ -1,7 +1,5 @@
 """The UTIAS data set: another frame, commands in place of poses, bearings to the left; landmarks from such bearings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

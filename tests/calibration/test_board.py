@@ -1,7 +1,5 @@
 """Intrinsics, and tilt, roll and height, from rendered views of a board whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The offset between the clocks of images and wheels, and the errors of odometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

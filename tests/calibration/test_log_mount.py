@@ -1,7 +1,5 @@
 """Tilt and roll from lines and from the images of a log."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The commands about the camera: what they print and write, and how they say that something is wrong."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -46,9 +44,7 @@ def test_tilt_prints_what_is_stated_and_what_is_found(localiser: Localiser, log:
     assert (log / "camera.yaml").read_bytes() == before
 
 
-def test_a_log_with_the_tilt_that_was_found_is_written_to_a_new_folder(
-    localiser: Localiser, log: Path, tmp_path: Path
-) -> None:
+def test_a_log_with_the_tilt_that_was_found_is_written_to_a_new_folder(localiser, log, tmp_path):
     before = {file: file.read_bytes() for file in log.rglob("*") if file.is_file()}
     out = tmp_path / "levelled"
     result = localiser("camera", "tilt", log, "-o", out)
@@ -152,9 +148,7 @@ def test_doctor_tells_the_offset_of_clocks(shifted: Path) -> None:
 # -- replay -----------------------------------------------------------------------------------------------------------
 
 
-def test_replay_warns_once_when_edges_contradict_the_stated_tilt(
-    localiser: Localiser, log: Path, tmp_path: Path
-) -> None:
+def test_replay_warns_once_when_edges_contradict_the_stated_tilt(localiser, log, tmp_path):
     result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", *FEW_PARTICLES)
     assert result.exit_code == 0
     assert result.err.count(f"localiser camera tilt {log}") == 1
@@ -206,9 +200,7 @@ def test_without_floor_the_mount_is_asked_for(localiser: Localiser, images: list
         read_camera(out)
 
 
-def test_images_without_the_board_are_listed_and_too_few_refused(
-    localiser: Localiser, images: list[Path], tmp_path: Path
-) -> None:
+def test_images_without_the_board_are_listed_and_too_few_refused(localiser, images, tmp_path):
     blank = tmp_path / "blank.png"
     cv2.imwrite(str(blank), np.full((360, 480), 90, dtype=np.uint8))
     result = localiser("camera", "calibrate", *images, blank, *OPTIONS)
@@ -230,9 +222,7 @@ def test_images_without_the_board_are_listed_and_too_few_refused(
     ("content", "problem"),
     [(b"", "an empty file"), (b"no image", "expected a JPEG or PNG"), (None, "no such file"), ("small", "found 64×48")],
 )
-def test_images_that_cannot_be_used_are_named(
-    localiser: Localiser, images: list[Path], tmp_path: Path, content: bytes | str | None, problem: str
-) -> None:
+def test_images_that_cannot_be_used_are_named(localiser, images, tmp_path, content, problem):
     bad = tmp_path / "bad.png"
     if isinstance(content, bytes):
         bad.write_bytes(content)

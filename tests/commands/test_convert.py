@@ -1,7 +1,5 @@
 """`localiser convert`, and `localiser replay` of what it wrote; `localiser odometry fit`."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 from pathlib import Path
@@ -21,9 +19,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_a_chain_of_conversions_changes_nothing_after_the_first_step(
-    localiser: Localiser, tmp_path: Path, suffix: str
-) -> None:
+def test_a_chain_of_conversions_changes_nothing_after_the_first_step(localiser, tmp_path, suffix):
     source = write_small_log(tmp_path / "log", suffix)
     with (source / "log.yaml").open("a") as file:
         file.write("motion: {alpha1: 0.02}\n")
@@ -61,9 +57,7 @@ def test_a_bag_replays_as_the_folder_does(localiser: Localiser, tmp_path: Path) 
         ("log", (), "expected a new or empty folder"),
     ],
 )
-def test_what_cannot_be_done(
-    localiser: Localiser, tmp_path: Path, name: str, option: tuple[str, ...], problem: str
-) -> None:
+def test_what_cannot_be_done(localiser, tmp_path, name, option, problem):
     source = write_small_log(tmp_path / "log")
     before = files(tmp_path)
     result = localiser("convert", source, tmp_path / name, *option, "--quiet")
@@ -74,9 +68,7 @@ def test_what_cannot_be_done(
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_the_bag_of_house_has_the_figures_of_its_first_20_s(
-    localiser: Localiser, tmp_path: Path, data_dir: Path
-) -> None:
+def test_the_bag_of_house_has_the_figures_of_its_first_20_s(localiser, tmp_path, data_dir):
     """Same images, and poses to 1e-7: digits that the folder lacks change no more than another seed does, 2 mm."""
     house = cut_log(data_dir / "house", tmp_path / "house", 101)
     figures = []
@@ -143,9 +135,7 @@ def test_fit_tells_what_it_would_change_and_writes_a_configuration(localiser: Lo
 
 @pytest.mark.parametrize(("images", "within"), [(120, 0.25), (205, 0.1)])
 @pytest.mark.slow  # quick: tests/calibration/test_clock.py fits the filter's path of simulated wheels
-def test_without_a_truth_the_filter_s_path_tells_nearly_the_same(
-    localiser: Localiser, tmp_path: Path, images: int, within: float
-) -> None:
+def test_without_a_truth_the_filter_s_path_tells_nearly_the_same(localiser, tmp_path, images, within):
     log, paths = cut_log(CORRIDOR, tmp_path / "log", images), {}
     for name in ("truth", "filter"):
         paths[name] = tmp_path / f"{name}.yaml"

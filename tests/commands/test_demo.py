@@ -1,7 +1,5 @@
 """`localiser demo` and `view`, and completion by the shell: all in a folder that holds nothing."""
 
-from __future__ import annotations
-
 import filecmp
 import os
 import re
@@ -83,9 +81,7 @@ def test_what_is_kept_overwrites_nothing(localiser: Localiser, empty: Path, inst
     assert files(empty) == ["maps/corridor.yaml"] and mine.read_text() == "mine"
 
 
-def test_a_package_without_the_example_says_so(
-    localiser: Localiser, empty: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_without_the_example_says_so(localiser, empty, monkeypatch):
     monkeypatch.setattr(demo, "PACKAGE", empty / "localiser")
     result = localiser("demo")
     assert result.exit_code == 2 and "not part of this installation" in result.err

@@ -1,7 +1,5 @@
 """`localiser doctor` and `localiser pose set`; a replay that is held back to be watched."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from importlib import metadata

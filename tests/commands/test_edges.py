@@ -1,7 +1,5 @@
 """The command `edges`: what it writes of images and logs, what is wrong with bad input."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 
@@ -103,9 +101,7 @@ def test_one_image_prints_its_edges_and_many_print_counts(localiser: Localiser, 
     assert table(folder / "none" / "edges.csv") == []
 
 
-def test_by_default_every_run_has_a_folder_of_its_own(
-    localiser: Localiser, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_by_default_every_run_has_a_folder_of_its_own(localiser, folder, monkeypatch):
     monkeypatch.chdir(folder)
     for _ in range(2):
         assert localiser("edges", "0.png", "--camera", "camera.yaml", "--no-pictures").exit_code == 0
@@ -171,9 +167,7 @@ def test_nothing_is_overwritten(localiser: Localiser, folder: Path) -> None:
         ([CORRIDOR, "--camera", "camera.yaml"], "--camera: expected a camera of 640×480 pixels, found one of 320×240"),
     ],
 )
-def test_bad_input_is_told(
-    localiser: Localiser, folder: Path, monkeypatch: pytest.MonkeyPatch, words: list[object], told: str
-) -> None:
+def test_bad_input_is_told(localiser, folder, monkeypatch, words, told):
     monkeypatch.chdir(folder)
     write_edge_log(folder / "edges")
     result = localiser("edges", *words)

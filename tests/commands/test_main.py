@@ -1,7 +1,5 @@
 """The command line: what it prints, and how it says that something is wrong."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
@@ -286,9 +284,7 @@ def test_bad_world_is_told_with_its_place(localiser: Localiser, tmp_path: Path) 
         (("replay", CORRIDOR, "--set", "particles=500"), "unknown setting; did you mean mcl.particles?"),
     ],
 )
-def test_a_wrong_file_is_called_what_it_is(
-    localiser: Localiser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[object, ...], told: str
-) -> None:
+def test_a_wrong_file_is_called_what_it_is(localiser, tmp_path, monkeypatch, words, told):
     monkeypatch.chdir(tmp_path)
     Path("drive.mp4").write_bytes(b"")
     for age, run in enumerate((Path("results/b/2"), Path("results/a/1"))):
@@ -325,9 +321,7 @@ def test_missing_files_of_the_other_commands(localiser: Localiser, tmp_path: Pat
         ({"frames": True}, "frames: expected an integer or null, found True"),
     ],
 )
-def test_figures_of_another_type_are_told(
-    localiser: Localiser, tmp_path: Path, recorded: dict[str, object], told: str
-) -> None:
+def test_figures_of_another_type_are_told(localiser, tmp_path, recorded, told):
     (tmp_path / "trajectory.csv").write_text("")
     (tmp_path / "metrics.json").write_text(json.dumps(recorded))
     result = localiser("evaluate", tmp_path)
@@ -432,9 +426,7 @@ def test_a_video_whose_name_is_no_text_is_told(localiser: Localiser, tmp_path: P
         (("convert", "log", "out", "--to", "mcap"), "--to: is gone: OUT says it by .mcap"),
     ],
 )
-def test_an_option_that_is_gone_is_told_with_what_takes_its_place(
-    localiser: Localiser, words: tuple[str, ...], told: str
-) -> None:
+def test_an_option_that_is_gone_is_told_with_what_takes_its_place(localiser, words, told):
     result = localiser(*words)
     assert result.exit_code == 2 and told in result.err
 

@@ -1,7 +1,5 @@
 """YAML with the place of every value: what is wrong is named with file, line, column and field."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys

@@ -1,7 +1,5 @@
 """Drafts leave alone who writes beside us and what lies there; names of others are text wherever they are shown."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The detector along columns: significance, sub-pixel position with an honest sigma, close neighbours, bad images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

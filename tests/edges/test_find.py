@@ -1,7 +1,5 @@
 """Vertical edges of drawn images: what is found, where, how certain, and what is not an edge; their feet; exposure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Errors against the truth: our figures, and evo's; the dictionary of figures."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

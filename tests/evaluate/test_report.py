@@ -1,7 +1,5 @@
 """The picture of a run: same run, same bytes, nothing needed but poses; and the page that shows it."""
 
-from __future__ import annotations
-
 import base64
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Tables fit the terminal and break no word; the tables of runs: figures, medians."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Tilt, roll and height of a camera that hangs otherwise than stated, found while the robot is located by its edges."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

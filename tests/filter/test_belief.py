@@ -1,7 +1,5 @@
 """The belief: no right place is left for its like, no floor is taken for another; what the scene knows of the past."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How far landmarks stand from where the map has them is learnt, and makes the filter honest on poor maps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tempering in stages: how much is taken at once, what the kernel does to a cloud; and the oracle of the filter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from grid_filter import GridFilter, headings

@@ -1,7 +1,5 @@
 """Wheels that stand still, slip or fall silent on the shipped drive: the edges are followed, and it is told."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator
 from typing import Any

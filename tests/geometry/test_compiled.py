@@ -1,7 +1,5 @@
 """Machine code is kept between runs, is never out of date, and nothing fails where it cannot be kept."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect
@@ -167,9 +165,7 @@ def test_code_is_compiled_once_and_then_loaded(modules: Modules, kept: Path) -> 
         ("loop", "@entry", "@compiled", START),
     ],
 )
-def test_what_changes_the_code_has_it_compiled_anew(
-    modules: Modules, module: str, old: str, new: str, value: float
-) -> None:
+def test_what_changes_the_code_has_it_compiled_anew(modules, module, old, new, value):
     modules.run()
     modules.edit(module, old, new)
     assert modules.run() == (value, False)
@@ -320,9 +316,7 @@ def test_a_folder_in_one_that_others_can_change_is_not_used(chosen: Any, tmp_pat
     assert chosen(name, LOCALISER_CACHE=stated, HOME=NOWHERE, TMPDIR=temporary) == stated.resolve() / name
 
 
-def test_a_user_who_is_unknown_to_the_system_has_a_temporary_folder(
-    chosen: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_user_who_is_unknown_to_the_system_has_a_temporary_folder(chosen, tmp_path, monkeypatch):
     """As in `docker --user 12345`."""
 
     def unknown(uid: int) -> object:

@@ -1,7 +1,5 @@
 """Poses over time, odometry without its jumps, and how fast a robot moves."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Over DDS, on the loopback interface: names, both directions, what is latched, and what does not fit."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Over DDS with Debian's Fast DDS, a counterpart that nobody here wrote: poses to it, images and odometry from it."""
 
-from __future__ import annotations
-
 import subprocess
 from contextlib import closing
 from pathlib import Path

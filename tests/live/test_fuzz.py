@@ -1,7 +1,5 @@
 """Messages that are none: no crash, no hang, and the run goes on."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Names of topics, each for one thing; keys, liveliness tokens and attachments as rmw_zenoh has them: golden values."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

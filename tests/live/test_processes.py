@@ -2,8 +2,6 @@
 does not, on any machine; how fast it is, is measured elsewhere.
 """
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess
@@ -48,9 +46,7 @@ def robot(endpoint: str) -> Iterator[Program]:
 
 
 @pytest.mark.slow
-def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(
-    robot: Program, endpoint: str, localiser: Localiser, tmp_path: Path
-) -> None:
+def test_a_run_that_is_killed_leaves_its_recording_and_comes_back(robot, endpoint, localiser, tmp_path):
     """The robot falls silent for a while as well."""
     bag, state = tmp_path / "drive.db3", tmp_path / "state"
     saving = ("--connect", endpoint, "--checkpoint", state)

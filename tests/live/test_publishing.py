@@ -1,7 +1,5 @@
 """What a live run publishes, over a transport that keeps what it gets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

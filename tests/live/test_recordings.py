@@ -1,7 +1,5 @@
 """Recordings: committed as they go on, ended by a full disk, and whatever they hold opens and replays."""
 
-from __future__ import annotations
-
 import sqlite3
 import time
 from contextlib import closing

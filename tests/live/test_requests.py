@@ -1,7 +1,5 @@
 """Services of a live run, answered in its loop: look everywhere, load another map; and runs on several maps."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 from live_feed import LOG, MAKE, Feed, arrival, camera, drive, image
 from live_transport import KeepingTransport
-from short_log import CORRIDOR, Localiser
+from short_log import CORRIDOR
 
 from localiser.config import LiveParameters
 from localiser.errors import InputError
@@ -53,9 +51,7 @@ def fed(folder: Path, **settings: Any) -> tuple[Feed, KeepingTransport]:
     return feed, transport
 
 
-def test_a_robot_that_is_looked_for_again_is_found_and_the_recording_replays(
-    localiser: Localiser, tmp_path: Path
-) -> None:
+def test_a_robot_that_is_looked_for_again_is_found_and_the_recording_replays(localiser, tmp_path):
     feed, transport = fed(tmp_path, record=tmp_path / "drive.db3")
     feed([*camera(), *drive(N)])
     before = len(transport.sent["/tf"])
@@ -192,9 +188,7 @@ def files(tmp_path: Path) -> list[Path]:
     return paths
 
 
-def test_poses_go_out_in_the_frame_of_the_map_that_is_believed(
-    localiser: Localiser, files: list[Path], tmp_path: Path
-) -> None:
+def test_poses_go_out_in_the_frame_of_the_map_that_is_believed(localiser, files, tmp_path):
     transport = KeepingTransport()
     feed = Feed(start=None, map_files=files, record=tmp_path / "drive.db3")
     feed.run.outputs.publisher = Publisher(transport, outputs_named())

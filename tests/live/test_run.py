@@ -1,7 +1,5 @@
 """The live loop, fed by hand: time is what the messages say, so that nothing depends on how fast the machine is."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -256,9 +254,7 @@ def test_what_is_said_before_the_camera_is_known_comes_before_a_saved_state(tmp_
 
 
 @pytest.mark.parametrize("anew", [False, True])
-def test_a_run_that_is_resumed_knows_where_it_is_and_its_recording_replays(
-    localiser: Localiser, tmp_path: Path, anew: bool
-) -> None:
+def test_a_run_that_is_resumed_knows_where_it_is_and_its_recording_replays(localiser, tmp_path, anew):
     """Without a start, after half a second without anything. Wheels that begin anew do not move the robot.
 
     The replay begins with the very particles; with other settings from about there.

@@ -1,7 +1,5 @@
 """A live run by the time of a simulator or of a bag that is played; and with a camera that moves on its robot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry
-from short_log import Localiser
 
 from localiser.camera import Mount
-from localiser.filter import Start
 from localiser.live.clock import SLACK_NS, SimulatedTime
 from localiser.live.inbox import Arrival
 from localiser.live.timeline import PATIENCE_NS
@@ -57,9 +53,7 @@ def test_messages_before_the_first_of_the_clock_are_left_out() -> None:
     assert feed.published
 
 
-def test_a_bag_that_begins_again_begins_a_new_run_and_the_recording_replays(
-    localiser: Localiser, tmp_path: Path
-) -> None:
+def test_a_bag_that_begins_again_begins_a_new_run_and_the_recording_replays(localiser, tmp_path):
     """The robot is where it started, the stamps that go out are the robot's, nothing is thought to be wrong."""
     feed = simulated(record=tmp_path / "drive.db3")
     feed(camera())
@@ -85,9 +79,7 @@ def test_a_bag_that_begins_again_begins_a_new_run_and_the_recording_replays(
         ),
     ],
 )
-def test_messages_and_the_clock_of_a_bag_in_a_loop_may_overtake_each_other(
-    localiser: Localiser, tmp_path: Path, behind_ns: int, start: Start | None
-) -> None:
+def test_messages_and_the_clock_of_a_bag_in_a_loop_may_overtake_each_other(localiser, tmp_path, behind_ns, start):
     """The clock at 10 Hz, the wheels at 100 Hz: each loop begins anew once, and loses no image that the first had.
 
     behind_ns: how much later than others messages of the clock come.

@@ -1,7 +1,5 @@
 """What a live run says while it runs, and the table at its end; the stand-in for a robot."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Transports between sessions of our own, through a router in this process."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

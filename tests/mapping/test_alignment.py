@@ -1,7 +1,5 @@
 """Finished maps: aligned with unknown correspondence, put together, and the quality of their landmarks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

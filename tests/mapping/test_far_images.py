@@ -1,7 +1,5 @@
 """Landmarks from few, far images at known poses and from several logs; how edges are followed, against filterpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from far_room import CAMERA, SIGMA_RAD, far_poses, images, room

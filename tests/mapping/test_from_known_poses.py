@@ -1,7 +1,5 @@
 """Landmarks from known poses: triangulation, tracks, association, and whole drives."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which landmarks may be one, and which joins were wrong: by the pull of a visit, and by the wheels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

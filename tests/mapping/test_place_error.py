@@ -1,7 +1,5 @@
 """Errors of places that images from one direction share; sparse least squares."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

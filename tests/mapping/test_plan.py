@@ -1,7 +1,5 @@
 """Floor plans: cells to map and back, and how exactly walls' corners become landmarks."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

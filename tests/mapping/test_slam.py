@@ -1,7 +1,5 @@
 """Poses and landmarks from a log alone: the smoother, the scale, loops, and whole drives."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

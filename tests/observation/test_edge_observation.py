@@ -1,7 +1,5 @@
 """The observation model against a plain triple loop, written straight from its docstring."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import comb
 

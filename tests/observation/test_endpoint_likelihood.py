@@ -1,7 +1,5 @@
 """Where an edge ends in the image says which landmark it can be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Edges that say which landmark they belong to: the density by hand, and what it is worth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

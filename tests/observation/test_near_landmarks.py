@@ -1,7 +1,5 @@
 """Near landmarks: what is tested, how it is counted, how often a right map is taken for another; the inlier rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -41,9 +39,7 @@ def test_near_landmarks_in_view_are_tested() -> None:
     ("range_m", "bearing_deg", "is_matched", "may_hide"),
     [(1.0, 10.0, True, True), (1.0, 10.0, False, False), (1.0, 31.0, True, False), (1.9, 10.0, True, False)],
 )
-def test_what_may_be_behind_a_wall_is_not_tested(
-    range_m: float, bearing_deg: float, is_matched: bool, may_hide: bool
-) -> None:
+def test_what_may_be_behind_a_wall_is_not_tested(range_m, bearing_deg, is_matched, may_hide):
     """A landmark that is matched, nearer and beside another one may be of a wall that hides it."""
     points = np.array([at(2.0, 0.0), at(range_m, bearing_deg)])
     tested, _ = near_landmarks(matches([1] if is_matched else [], [True, True]), points, HERE)

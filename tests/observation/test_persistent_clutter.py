@@ -1,7 +1,5 @@
 """Clutter that lasts: against simulated things on no map, and in a filter that follows another robot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 
@@ -71,9 +69,7 @@ def test_of_two_that_may_continue_one_nothing_is_known() -> None:
     st.floats(-0.3, 0.3),
     st.floats(-0.5, 0.5),
 )
-def test_clutter_is_never_rarer_than_anywhere(
-    now: list[float], before: list[float], right: float, back: float, turn: float
-) -> None:
+def test_clutter_is_never_rarer_than_anywhere(now, before, right, back, turn):
     found = clutter_density(now, 0.02, before, (right, back, turn), 1e-4)
     assert found.shape == (len(now),)
     assert (found >= 1.0).all()

@@ -1,7 +1,5 @@
 """Clutter as an earlier image predicts it: against simulated things on no map, and against its own integral."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -76,9 +74,7 @@ def test_an_edge_where_none_was_and_without_neighbours_is_rare() -> None:
     st.floats(-0.5, 0.5),
 )
 @settings(max_examples=25)  # of 401 bearings each
-def test_the_density_integrates_to_the_expected_number_of_edges(
-    before: list[float], right: float, back: float, turn: float
-) -> None:
+def test_the_density_integrates_to_the_expected_number_of_edges(before, right, back, turn):
     """Over all bearings, also beyond the image: those seen again, beside the new ones, of one edge.
 
     The least number of new edges, which is one, makes the integral no larger.

@@ -1,7 +1,5 @@
 """Visibility: what images tell of hidden landmarks, against Bayes' rule by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

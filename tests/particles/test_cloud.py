@@ -1,7 +1,5 @@
 """Clouds of particles: weights, estimate, kernel, and resampling against filterpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Clusters: places that are apart stay apart, what touches is one, and the sums add up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

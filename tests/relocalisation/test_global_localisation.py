@@ -1,7 +1,5 @@
 """A robot whose place is not known, or is known wrongly, or is not on the map: the belief, and what is said of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What earlier images say of a place that is proposed late, against candidates that were followed all along."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

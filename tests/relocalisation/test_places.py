@@ -1,7 +1,5 @@
 """Pairs of landmarks by distance, against a table of all pairs; and finding a robot in a large building."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scale_building

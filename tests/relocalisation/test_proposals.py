@@ -1,7 +1,5 @@
 """Where the robot may be, from one frame and nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from floor_points import floor_points

@@ -1,7 +1,5 @@
 """Edges found ahead by another thread: the same events, results and errors in the same order."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 

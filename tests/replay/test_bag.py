@@ -1,7 +1,5 @@
 """A replay as a bag; what it warns of; and logs whose clock or wheels jump."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -101,9 +99,7 @@ def test_bad_light_is_told(localiser: Localiser, log: Path, tmp_path: Path, gain
     assert warning.startswith("3 of 3 images looked at"), "every fifth"
 
 
-def test_silent_odometry_is_told_and_a_plain_log_has_no_warning(
-    localiser: Localiser, log: Path, tmp_path: Path
-) -> None:
+def test_silent_odometry_is_told_and_a_plain_log_has_no_warning(localiser, log, tmp_path):
     plain = figures_of(localiser, log, tmp_path / "plain")
     assert plain["warnings"] == []
     header, *rows = (log / "odometry.csv").read_text().splitlines()

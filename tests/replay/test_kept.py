@@ -1,7 +1,5 @@
 """Located images are kept in a file and read again as they were; those of a robot that is lost are no ordinary ones."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
@@ -55,9 +53,7 @@ def test_images_are_read_as_they_were_in_any_order(frame: LocatedFrame) -> None:
         kept[6]
 
 
-def test_memory_and_summary_hardly_grow_with_the_length_of_a_run(
-    frame: LocatedFrame, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_memory_and_summary_hardly_grow_with_the_length_of_a_run(frame, monkeypatch):
     in_memory = 500_000
     monkeypatch.setattr("localiser.replay.frames.IN_MEMORY", in_memory)
 

@@ -1,7 +1,5 @@
 """Replay, end to end: a log in, files and figures out."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
@@ -227,9 +225,7 @@ def test_edges_belong_to_landmarks_by_id_whatever_the_order_of_the_map(localiser
 
 
 @pytest.mark.parametrize("found", ["99", "2"])
-def test_an_edge_of_a_landmark_that_the_map_does_not_have_is_told(
-    localiser: Localiser, tmp_path: Path, found: str
-) -> None:
+def test_an_edge_of_a_landmark_that_the_map_does_not_have_is_told(localiser, tmp_path, found):
     table = write_edge_log(tmp_path / "log") / "edges.csv"
     table.write_text(table.read_text().replace("door", found))
     result = localiser("replay", tmp_path / "log", "--out", tmp_path / "out", *KNOWN)
@@ -330,9 +326,7 @@ def test_bad_frame_half_way_leaves_what_was_done(localiser: Localiser, log: Path
     assert_valid_until(run, 7, log)
 
 
-def test_a_run_that_comes_to_nothing_leaves_the_latest_as_it_was(
-    localiser: Localiser, log: Path, tmp_path: Path
-) -> None:
+def test_a_run_that_comes_to_nothing_leaves_the_latest_as_it_was(localiser, log, tmp_path):
     first = localiser.replay(log, tmp_path / "out")
     bad = log / image_rows(log)[0].split(",")[1]
     bad.write_bytes(bad.read_bytes()[:-3000])
@@ -377,9 +371,7 @@ def test_a_disk_that_is_full_half_way_ends_the_run_with_whole_lines(tmp_path: Pa
 
 
 @pytest.mark.parametrize("kind", ["native", pytest.param("web", marks=pytest.mark.slow)])
-def test_run_without_a_display_says_so_and_goes_on(
-    localiser: Localiser, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
-) -> None:
+def test_run_without_a_display_says_so_and_goes_on(localiser, log, tmp_path, monkeypatch, kind):
     monkeypatch.setattr(viewer, "viewer_command", lambda kind: ([sys.executable, "-c", "pass"], None))
     result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", "--quiet", "--view", kind)
     assert (result.exit_code, result.out) == (0, "")

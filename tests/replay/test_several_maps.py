@@ -1,7 +1,5 @@
 """Several maps in one belief, end to end: which floor, and poses in its frame."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path
@@ -42,9 +40,7 @@ def files(tmp_path: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_the_floor_is_found_and_poses_are_in_its_frame(
-    localiser: Localiser, files: list[Path], tmp_path: Path, first: int
-) -> None:
+def test_the_floor_is_found_and_poses_are_in_its_frame(localiser, files, tmp_path, first):
     """Whichever is named first. All that is written says on which map: table, recording, bag."""
     log, bag = cut_log(CORRIDOR, tmp_path / "log", N), tmp_path / "out.mcap"
     maps = ["--map", files[first], "--map", files[1 - first]]

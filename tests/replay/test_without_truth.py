@@ -1,7 +1,5 @@
 """A run without truth tells the same of itself as one with it, and the truth agrees with what it tells."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a located image is as messages of ROS 2: read back by rosbags, compared with what was located."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

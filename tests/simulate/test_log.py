@@ -1,7 +1,5 @@
 """What images truly show, and whole simulated logs; cameras that move on the robot, or whose shutter rolls."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -193,9 +191,7 @@ def crossings(image: Array) -> Array:
     ("turn_rad_s", "speed_m_s", "motion"),
     [(1.0, 0.5, None), (-2.0, 0.0, None), (0.3, 0.3, {"tilt_deg": {"amplitude": 6.0, "hz": 1.0}})],
 )
-def test_rows_are_those_of_images_from_where_the_robot_was_then(
-    turn_rad_s: float, speed_m_s: float, motion: dict[str, Any] | None
-) -> None:
+def test_rows_are_those_of_images_from_where_the_robot_was_then(turn_rad_s, speed_m_s, motion):
     scene, truth = scene_of(world_of(world_data(SHUTTER, motion))), driven(turn_rad_s, speed_m_s)
     expected, found = row_by_row(scene, truth), sharp_image(scene, truth, MIDDLE_NS)[::6]
     at_once = radiance(scene, truth.at(MIDDLE_NS), scene.camera_at(MIDDLE_NS))[::6]

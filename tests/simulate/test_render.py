@@ -1,7 +1,5 @@
 """Rendered images: edges are where the camera projects them, near hides far, a sensor errs as stated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """World files: what is accepted, where walls, doors and boxes stand, their edges; drives and their odometry."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Camera files: ROS keys and the mount."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

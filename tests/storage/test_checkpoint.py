@@ -1,7 +1,5 @@
 """Checkpoints: the filter goes on exactly; damage and other runs' checkpoints are refused."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections import deque
 from collections.abc import Callable, Mapping

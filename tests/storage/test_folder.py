@@ -1,7 +1,5 @@
 """The log folder: written whole or not at all, read back, refused with the place of what is wrong; other formats."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -146,9 +144,7 @@ def keep_header(name: str) -> Callable[[Path], None]:
         (edit("map.yaml", "id: 8", "id: 7"), "map.yaml:6:4: landmarks[1].id: expected an id of its own"),
     ],
 )
-def test_what_is_wrong_is_named_when_the_log_is_opened(
-    log_folder: Path, change: Callable[[Path], None], expected: str
-) -> None:
+def test_what_is_wrong_is_named_when_the_log_is_opened(log_folder, change, expected):
     change(log_folder)
     with pytest.raises(InputError) as caught:
         open_log(log_folder)
@@ -265,9 +261,7 @@ def test_columns_that_would_say_nothing_are_not_written(tmp_path: Path) -> None:
         ("yaw_deg", "left", "a number"),
     ],
 )
-def test_a_mount_that_cannot_be_is_refused(
-    written: Path, tmp_path: Path, column: str, cell: str, expected: str
-) -> None:
+def test_a_mount_that_cannot_be_is_refused(written, tmp_path, column, cell, expected):
     folder = with_columns(written, tmp_path / "log", column, "", cell, "")
     with pytest.raises(InputError, match=expected) as error:
         open_log(folder)
@@ -316,9 +310,7 @@ def test_what_is_said_of_a_format_is_that_of_all_registered(pointer: Path) -> No
 
 
 @pytest.mark.parametrize("durably", [False, True])
-def test_interrupted_writing_leaves_what_was_there_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, durably: bool
-) -> None:
+def test_interrupted_writing_leaves_what_was_there_before(tmp_path, monkeypatch, durably):
     path = tmp_path / "state"
     write_bytes(path, b"before", durably=durably)
 

@@ -1,7 +1,5 @@
 """Whatever a file holds, a reader gives a value or an InputError, never another exception."""
 
-from __future__ import annotations
-
 import random
 import shutil
 from collections.abc import Callable

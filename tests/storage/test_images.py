@@ -1,7 +1,5 @@
 """Image files: whole, of the right size, decoded to grey; and video files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

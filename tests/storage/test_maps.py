@@ -1,7 +1,5 @@
 """Map files lose nothing, and refuse what would be read wrongly."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Folders of runs, and files that are complete after every image."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

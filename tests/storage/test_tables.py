@@ -1,7 +1,5 @@
 """CSV tables, and those of edges: every wrong cell is named with file, line and field."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Trajectories: our CSV, and TUM as other programs read and write it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

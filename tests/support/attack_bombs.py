@@ -1,7 +1,5 @@
 """Small inputs that ask for much memory or time: pictures whose parts unpack to gigabytes, robots of many frames."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Iterable

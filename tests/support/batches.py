@@ -1,7 +1,5 @@
 """Rows of batches, as tables have them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 

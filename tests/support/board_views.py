@@ -1,7 +1,5 @@
 """Images of a calibration board, cast ray by ray through a `Camera` with its lens."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

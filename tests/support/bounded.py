@@ -1,7 +1,5 @@
 """Python code in a process of its own, which may take only so much more memory and processor time than it has taken."""
 
-from __future__ import annotations
-
 import math
 import os
 import resource

@@ -1,7 +1,5 @@
 """A page in headless Chromium, over the DevTools protocol: what it fetched, and what it looks like."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

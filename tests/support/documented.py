@@ -1,7 +1,5 @@
 """The commands and the code in the pages of the documentation."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Images of a plain wall with vertical stripes, drawn through a `Camera` with tilt, roll and lens distortion."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

@@ -1,7 +1,5 @@
 """A room, and images from all over it that are too far apart to follow an edge from one to the next."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A program that speaks by Debian's Fast DDS: built from an IDL file and one source."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

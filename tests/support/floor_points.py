@@ -1,7 +1,5 @@
 """Points of the floor that a camera sees."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -3,8 +3,6 @@
 LOCALISER_EXAMPLES=1000 pytest tests/storage/bags/test_damage.py tests/live/test_fuzz.py
 """
 
-from __future__ import annotations
-
 from hypothesis import settings
 
 _FULL = 100  # of the profile in tests/conftest.py

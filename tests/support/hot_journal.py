@@ -1,7 +1,5 @@
 """What lies beside a database of SQLite whose writer was killed, and what a stranger would put there."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The project as it is handed out: its archives built, and its wheel installed where no clone is."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

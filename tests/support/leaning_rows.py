@@ -1,7 +1,5 @@
 """Drives along rows of things that lean, and the lines that a camera would measure of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

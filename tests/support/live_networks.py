@@ -1,7 +1,5 @@
 """The networks that a live run can be on: a zenoh router in this process, or a domain of DDS of its own."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

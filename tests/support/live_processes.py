@@ -1,7 +1,5 @@
 """Real processes for the tests of the live mode: a robot's stand-in, and live runs whose lines are read."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """A transport that keeps what is published, for tests in one process."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

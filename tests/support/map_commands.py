@@ -1,7 +1,5 @@
 """Run `localiser map` in this process, and a log of edges to run it on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

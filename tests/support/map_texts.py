@@ -1,7 +1,5 @@
 """A map file of a newer version."""
 
-from __future__ import annotations
-
 NEWER = """\
 format: localiser-map/1
 name: hall

@@ -1,7 +1,5 @@
 """Drives through the worlds that ship with the project, and the edges that a camera would measure on them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small data set in the layout of UTIAS MRCLAM."""
 
-from __future__ import annotations
-
 FILES = {
     "Barcodes.dat": "  1 \t 5 \r\n  6 \t 63 \r\n  7 \t 81 \r\n",
     "Landmark_Groundtruth.dat": "  6 \t 2.0 \t 1.0 \t 0.01 \t 0.02 \r\n  7 \t 3.0 \t -1.0 \t 0.03 \t 0.04 \r\n",

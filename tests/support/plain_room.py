@@ -1,7 +1,5 @@
 """A world file's content: a plain room of 8 m, as a base for tests of the renderer."""
 
-from __future__ import annotations
-
 from typing import Any
 
 CORNERS = [[-4.0, 4.0], [-4.0, -4.0], [4.0, -4.0], [4.0, 4.0]]

@@ -1,7 +1,5 @@
 """A room with landmarks of known heights, for the tests of proposals."""
 
-from __future__ import annotations
-
 import numpy as np
 from simulated_edges import EdgeNoise, simulated_edges
 

@@ -1,7 +1,5 @@
 """Bags that hold texts only."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from localiser.storage.bags import Messages

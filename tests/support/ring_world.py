@@ -1,7 +1,5 @@
 """A drive round a ring of landmarks, with wrong wheels and a wrong mount."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The first frames of the log that ships, and the command line in this process, for end-to-end tests."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Bags made message by message, as other programs might have recorded them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small log with everything in it, for tests of the readers and writers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

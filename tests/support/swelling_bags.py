@@ -1,7 +1,5 @@
 """Bags of some kB that ask for hours or gigabytes."""
 
-from __future__ import annotations
-
 import bz2
 import sqlite3
 import struct

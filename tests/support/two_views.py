@@ -1,7 +1,5 @@
 """Edges of one room as seen from several poses, simulated from the equations alone."""
 
-from __future__ import annotations
-
 import numpy as np
 from vga_camera import vga_camera
 

@@ -1,7 +1,5 @@
 """The camera of many tests: 640 × 480 pixels, focal length 554 px, principal point in the middle."""
 
-from __future__ import annotations
-
 from localiser.camera import Camera, Mount
 
 

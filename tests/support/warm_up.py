@@ -1,7 +1,5 @@
 """Compile, or load, the loops that most tests need: once, before workers begin that would all compile the same."""
 
-from __future__ import annotations
-
 from itertools import takewhile
 
 from folders import ROOT

@@ -1,7 +1,5 @@
 """The floor plan of a simulated world, as an architect cuts it: walls with open doorways, and pillars."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from pathlib import Path
 

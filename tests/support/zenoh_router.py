@@ -3,8 +3,6 @@
 python zenoh_router.py ENDPOINT
 """
 
-from __future__ import annotations
-
 import sys
 
 from live_networks import router

@@ -1,7 +1,5 @@
 """Libraries that take long to import are imported by those who use them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """`localiser map`: from the command line to files, and every bad input."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -262,9 +260,7 @@ def test_two_cameras_on_two_days_make_one_map(logs: tuple[Path, Path], tmp_path:
         (("--trajectory", "path.tum"), "--trajectory"),
     ],
 )
-def test_several_logs_need_their_truth_and_write_no_path(
-    logs: tuple[Path, Path], tmp_path: Path, options: tuple[str, str], message: str
-) -> None:
+def test_several_logs_need_their_truth_and_write_no_path(logs, tmp_path, options, message):
     out = tmp_path / "map.yaml"
     options = tuple(str(tmp_path / word) if word.endswith(".tum") else word for word in options)
     assert message in refused("map", "build", *logs, "-o", out, *options)

@@ -1,7 +1,5 @@
 """`localiser map check|align|merge|update`, and the pictures of maps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

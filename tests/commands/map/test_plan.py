@@ -1,7 +1,5 @@
 """`localiser map plan`: floor plans in, maps out, and every bad plan."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """ROS bags of all three kinds: what goes in comes out, what other programs recorded is understood."""
 
-from __future__ import annotations
-
 import resource
 import tracemalloc
 from collections.abc import Callable
@@ -349,9 +347,7 @@ def test_grey_images_keep_every_pixel(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
 @pytest.mark.parametrize(("largest", "shift"), [(255, 0), (1023, 2), (3000, 4), (16383, 6), (65535, 8)])
-def test_images_of_16_bits_have_the_range_that_they_use(
-    tmp_path: Path, encoding: str, largest: int, shift: int
-) -> None:
+def test_images_of_16_bits_have_the_range_that_they_use(tmp_path, encoding, largest, shift):
     values = np.random.default_rng(3).integers(0, largest, (HEIGHT, WIDTH), endpoint=True)
     values[0, 0] = largest
     for big, kind in ((0, "<u2"), (1, ">u2")):

@@ -1,7 +1,5 @@
 """Damaged bags, and bags made to do harm: a value or an InputError, soon, and in little memory."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil
@@ -278,9 +276,7 @@ def test_compressed_bags_are_read(tmp_path: Path, mode: rosbag2.CompressionMode,
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_a_bag_of_too_many_topics_is_refused(
-    bags: Path, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bag_of_too_many_topics_is_refused(bags, tmp_path, kind, monkeypatch):
     monkeypatch.setattr(records, "MOST_TOPICS", 3)
     path = bags / FILES[kind]
     with pytest.raises(InputError, match="expected at most 3 topics, found more"):

@@ -1,7 +1,5 @@
 """Mounts that move in bags: written and read back with their sigmas, and as other programs record them."""
 
-from __future__ import annotations
-
 from dataclasses import astuple, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bags that are being written, or were: nothing that is read is changed, and nothing that was committed is lost."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import subprocess
@@ -94,9 +92,7 @@ def test_a_killed_recording_is_restored_in_a_copy(tmp_path: Path, private: Path,
     assert states(folder) == before and not list(private.iterdir())
 
 
-def test_a_journal_that_is_done_with_needs_no_copy(
-    tmp_path: Path, private: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_journal_that_is_done_with_needs_no_copy(tmp_path, private, monkeypatch):
     """Recorders may leave an empty one, or one whose head is zero."""
     path = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
     path.with_name("bag.db3-journal").write_bytes(bytes(600))
@@ -105,9 +101,7 @@ def test_a_journal_that_is_done_with_needs_no_copy(
     assert len(open_log(path).frames) == 4
 
 
-def test_where_there_is_no_space_what_to_do_is_told(
-    tmp_path: Path, private: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_there_is_no_space_what_to_do_is_told(tmp_path, private, monkeypatch):
     path = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
     path.with_name("bag.db3-wal").write_bytes(b"x")
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=100))
