@@ -27,7 +27,7 @@ from localiser.edges import Edges
 from localiser.filter import Sighting
 from localiser.geometry import Increment
 from localiser.landmarks import LandmarkMap, sight
-from localiser.motion import MotionParameters, predict
+from localiser.motion import MotionParameters
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.observation.inlier_rate import InlierRate
 from localiser.particles import Particles, estimate, from_gaussian, systematic_resample, take
@@ -68,7 +68,7 @@ def fastest_ms(works: Sequence[Callable[[], object]], times: int) -> list[float]
 def step(observation: EdgeObservation, rng: np.random.Generator, frame: Frame) -> None:
     """Move, weigh, estimate and resample: the plain particle filter."""
     cloud, sighting, landmark_map = frame
-    moved = predict(cloud, Increment.from_mean([0.0, -0.1, 0.02]), MotionParameters(), rng)
+    moved = MotionParameters().predict(cloud, Increment.from_mean([0.0, -0.1, 0.02]), rng)
     log_weight = InlierRate.unknown().log_mean(observation.by_rate(moved, sighting, landmark_map))
     weighed = Particles(moved.names, moved.columns, log_weight, moved.circular)
     estimate(weighed)

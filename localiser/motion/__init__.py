@@ -4,9 +4,7 @@ from localiser.motion.constant_errors import EXACT
 from localiser.motion.inertial import GRAVITY_M_S2, up_of
 from localiser.motion.odometry_model import (
     SLIP,
-    EstimatesConstantErrors,
     LinearisedMotion,
-    MotionCovariance,
     MotionModel,
     MotionParameters,
     Step,
@@ -14,6 +12,5 @@ from localiser.motion.odometry_model import (
     direction_of_travel,
     linearised,
     noise_variances,
-    predict,
     wheel_cov,
 )

@@ -152,19 +152,3 @@ def _moved(particles: Particles, change: Array) -> Particles:
     if CAMERA_YAW in particles.names:
         columns[2] = wrap_angle(columns[2] - change[particles.names.index(CAMERA_YAW) - 3])
     return replace(particles, columns=columns)
-
-
-def sensitivity(names: tuple[str, ...], ahead_m: float, turn_rad: float, by_delay: Array) -> Array:
-    """Return H = ∂(along, left, turn)/∂(constant errors) (3, B) of a step of (ahead_m, 0, turn_rad) by odometry.
-
-    names: (B,) of the columns after the pose; others than `CONSTANT_ERRORS` have no effect. Half of the turn comes
-    before the translation, which the camera's own yaw turns the other way. by_delay: (3,) its change per second.
-    """
-    effect = {
-        "distance_scale": (ahead_m, 0.0, 0.0),
-        "turn_scale": (0.0, ahead_m * turn_rad / 2, turn_rad),
-        "veer": (0.0, ahead_m * ahead_m / 2, ahead_m),
-        "delay": tuple(by_delay),
-        CAMERA_YAW: (0.0, -ahead_m, 0.0),
-    }
-    return np.array([effect.get(name, (0.0, 0.0, 0.0)) for name in names]).reshape(-1, 3).T

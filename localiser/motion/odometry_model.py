@@ -14,7 +14,6 @@ from typing import Annotated, Protocol, runtime_checkable
 import numpy as np
 from pydantic import Field
 
-from localiser import geometry
 from localiser.geometry import Array, Increment, cos_sin, wrap_angle
 from localiser.geometry.compiled import compiled
 from localiser.motion.constant_errors import (
@@ -25,7 +24,6 @@ from localiser.motion.constant_errors import (
     forgotten,
     learnt,
     projected,
-    sensitivity,
     with_constant_errors,
 )
 from localiser.particles import CAMERA_YAW, Particles
@@ -43,7 +41,7 @@ class MotionParameters:
     alpha4: Annotated[float, Field(ge=0, description="distance variance from turning (m² per rad)")] = 1e-4
     bias: ConstantErrorParameters = field(default_factory=ConstantErrorParameters)
 
-    # The model with these parameters, as `MotionModel` and its optional protocols ask for it.
+    # The model with these parameters, as `MotionModel` and `LinearisedMotion` ask for it.
 
     @property
     def delay_sigma_s(self) -> float:
@@ -51,8 +49,9 @@ class MotionParameters:
         return self.bias.delay_sigma_s
 
     def predict(self, particles: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
-        """See `predict`."""
-        return predict(particles, increment, self, rng)
+        """Return the particles moved by `increment`, each with its own draw of the noise."""
+        step = self.expected_step(particles, increment)
+        return self.stepped(particles, step, rng.standard_normal(step.expected.shape), increment)
 
     def expected_step(self, particles: Particles, increment: Increment) -> Step:
         """Return how particles move by `increment`, each by what it knows of the constant errors.
@@ -61,14 +60,17 @@ class MotionParameters:
         correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own
         covariance (vision) errs by a draw from that instead, and tells nothing of them.
         """
-        by_constant_error = _by_bias(particles.names[3:], increment)
-        spread = StepSpread.of(particles, by_constant_error, step_noise(increment, self))
+        ahead_m, noise, effects = _step_of(increment, self)
+        none = np.zeros(3)
+        effect = dict(zip(CONSTANT_ERRORS, effects, strict=True))
+        by_constant_error = np.array([effect.get(name, none) for name in particles.names[3:]]).reshape(-1, 3).T
+        spread = StepSpread.of(particles, by_constant_error, noise)
         start = particles.columns[:3].copy()
         if CAMERA_YAW in particles.names:
             start[2] += particles[CAMERA_YAW]  # of the camera, by which the constant errors are seen
         cos, sin = cos_sin(start[2] + direction_of_travel(increment))
         expected = by_constant_error @ particles.columns[3:]
-        expected += np.array([[_ahead_m(increment)], [0.0], [increment.mean[2]]])
+        expected += np.array([[ahead_m], [0.0], [increment.mean[2]]])
         return Step(start, cos, sin, expected, by_constant_error, spread)
 
     def stepped(self, particles: Particles, step: Step, normal: Array, increment: Increment) -> Particles:
@@ -147,24 +149,30 @@ class Step:
         return _in_map(self.spread.root[..., None], self.cos, self.sin)
 
 
-def predict(
-    particles: Particles, increment: Increment, parameters: MotionParameters, rng: np.random.Generator
-) -> Particles:
-    """Return the particles moved by `increment`, each with its own draw of the noise."""
-    step = parameters.expected_step(particles, increment)
-    return parameters.stepped(particles, step, rng.standard_normal(step.expected.shape), increment)
+@lru_cache(maxsize=64)  # of one motion asked for several times in a step
+def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float, Array, Array]:
+    """Return the length of a step, the covariance (3, 3) of its noise, and its derivatives (5, 3) by constant errors.
 
-
-def step_noise(increment: Increment, parameters: MotionParameters) -> Array:
-    """Return the covariance (3, 3) of a step's noise: along the way (m), to its left (m), of the turn (rad)."""
+    A step is (along the way m, to its left m, turn rad), along the chord of the motion, negative when backward. Half of
+    the turn comes before the translation, which the camera's own yaw turns the other way. An increment that wheels
+    alone did not measure tells nothing of `CONSTANT_ERRORS`.
+    """
+    from_robot, turn = _map_from_step(0.0, increment).T, float(increment.mean[2])
+    ahead_m = float(increment.mean[:2] @ from_robot[0, :2])
     distance_var, turn_var = noise_variances(increment, parameters)
-    ahead = _ahead_m(increment)
-    noise = np.diag([distance_var, SLIP**2 * distance_var + ahead**2 * turn_var / 2, turn_var])
-    noise[1, 2] = noise[2, 1] = ahead * turn_var / 2
-    if not increment.cov.any():
-        return noise
-    from_robot = _step_from_robot(increment)
-    return np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
+    noise = np.diag([distance_var, SLIP**2 * distance_var + ahead_m**2 * turn_var / 2, turn_var])
+    noise[1, 2] = noise[2, 1] = ahead_m * turn_var / 2
+    if increment.cov.any():
+        noise = np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
+        return ahead_m, noise, np.zeros((len(CONSTANT_ERRORS), 3))
+    effects = {
+        "distance_scale": (ahead_m, 0.0, 0.0),
+        "turn_scale": (0.0, ahead_m * turn / 2, turn),
+        "veer": (0.0, ahead_m * ahead_m / 2, ahead_m),
+        "delay": from_robot @ increment.by_delay,
+        CAMERA_YAW: (0.0, -ahead_m, 0.0),
+    }
+    return ahead_m, noise, np.array([effects[name] for name in CONSTANT_ERRORS])
 
 
 def linearised(pose: Array, increment: Increment, parameters: MotionParameters) -> tuple[Array, Array]:
@@ -176,38 +184,18 @@ def linearised(pose: Array, increment: Increment, parameters: MotionParameters) 
     right, backward = increment.mean[:2]
     jac_pose = np.eye(3)
     jac_pose[:2, 2] = [-sin * right + cos * backward, -cos * right - sin * backward]
-    to_map = _map_from_step(pose, increment)
-    return jac_pose, np.asarray(to_map @ step_noise(increment, parameters) @ to_map.T)
+    to_map = _map_from_step(float(pose[2]), increment)
+    return jac_pose, np.asarray(to_map @ _step_of(increment, parameters)[1] @ to_map.T)
 
 
-@lru_cache(maxsize=64)  # of one motion asked for several times in a step
+@lru_cache(maxsize=64)
 def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
     """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
-    to_robot = _step_from_robot(increment).T
-    by_constant_error = _by_bias(CONSTANT_ERRORS[:-1], increment)
+    to_robot = _map_from_step(0.0, increment)
+    _, noise, effects = _step_of(increment, parameters)
+    by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
     doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
-    return np.asarray(to_robot @ (step_noise(increment, parameters) + doubt) @ to_robot.T)
-
-
-@lru_cache(maxsize=64)
-def _ahead_m(increment: Increment) -> float:
-    """Return the length of the chord along `direction_of_travel`, negative when backward."""
-    direction = direction_of_travel(increment)
-    return float(increment.mean[:2] @ geometry.forward(direction))
-
-
-def _by_bias(names: tuple[str, ...], increment: Increment) -> Array:
-    """Return ∂(along, left, turn)/∂(constant errors) (3, B): none of an increment that wheels alone did not measure."""
-    if increment.cov.any():
-        return np.zeros((3, len(names)))
-    late = _step_from_robot(increment) @ increment.by_delay
-    return sensitivity(names, _ahead_m(increment), float(increment.mean[2]), late)
-
-
-@lru_cache(maxsize=64)
-def _step_from_robot(increment: Increment) -> Array:
-    """Return the rotation (3, 3) from (right, backward, turn) in the robot frame to (along, left, turn) of a step."""
-    return _map_from_step(np.zeros(3), increment).T
+    return np.asarray(to_robot @ (noise + doubt) @ to_robot.T)
 
 
 def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
@@ -220,9 +208,9 @@ def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
     return moved
 
 
-def _map_from_step(pose: Array, increment: Increment) -> Array:
-    """Return the rotation (3, 3) from (along, left, turn) to (x, z, heading) of the map."""
-    way = float(pose[2]) + direction_of_travel(increment)
+def _map_from_step(heading: float, increment: Increment) -> Array:
+    """Return the rotation (3, 3) from (along, left, turn) to (x, z, heading) of the map; of the robot for 0."""
+    way = heading + direction_of_travel(increment)
     cos, sin = np.cos(way), np.sin(way)
     return np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])
 
@@ -259,7 +247,15 @@ class MotionModel(Protocol):
 
 @runtime_checkable
 class LinearisedMotion(MotionModel, Protocol):
-    """A model whose noise is normal, so that the optimal proposal can draw steps from odometry and edges together."""
+    """A model whose noise is normal, and whose particles carry constant errors of wheels and mount in own columns.
+
+    So the optimal proposal can draw steps from odometry and edges together, and vision knows how certain wheels are.
+    """
+
+    @property
+    def delay_sigma_s(self) -> float:
+        """By how much the robot may be later than its odometry, one sigma."""
+        ...
 
     def expected_step(self, particles: Particles, increment: Increment) -> Step:
         """Return where particles are expected, and the derivatives of that by the standardised step."""
@@ -269,23 +265,8 @@ class LinearisedMotion(MotionModel, Protocol):
         """Return the particles after standardised steps (3, N)."""
         ...
 
-
-@runtime_checkable
-class MotionCovariance(MotionModel, Protocol):
-    """A model that can say how certain odometry is, which visual odometry and persistent clutter use."""
-
     def covariance(self, increment: Increment) -> Array:
         """Return the covariance (3, 3) of a motion in the robot frame, constant errors included."""
-        ...
-
-
-@runtime_checkable
-class EstimatesConstantErrors(MotionModel, Protocol):
-    """A model whose particles carry constant errors of wheels and mount in columns of their own."""
-
-    @property
-    def delay_sigma_s(self) -> float:
-        """By how much the robot may be later than its odometry, one sigma."""
         ...
 
     def at_start(self, particles: Particles, rng: np.random.Generator) -> Particles:
@@ -299,4 +280,4 @@ class EstimatesConstantErrors(MotionModel, Protocol):
 
 def covariance_of(model: MotionModel, increment: Increment) -> Array:
     """Return the covariance (3, 3) of a motion as the model has it, else as the increment states it."""
-    return model.covariance(increment) if isinstance(model, MotionCovariance) else increment.cov
+    return model.covariance(increment) if isinstance(model, LinearisedMotion) else increment.cov

@@ -24,7 +24,7 @@ class Particles:
     names: D column names, x, z, heading first, then B constant errors. columns: (D, N), so that each column is
     contiguous. log_weight: (N,) natural logarithms, up to a common constant. circular: names of columns that are
     angles. constant_error_cov: (B, B) of the constant errors within each particle: its columns are the mean of a normal
-    density, and all particles share its covariance. The camera's yaw widens the heading by it.
+    density, and all particles share its covariance; empty where none is in doubt. The camera's yaw widens the heading.
     """
 
     names: tuple[str, ...]
@@ -32,15 +32,6 @@ class Particles:
     log_weight: Array
     circular: frozenset[str] = frozenset({"heading"})
     constant_error_cov: Array = field(default_factory=lambda: np.zeros((0, 0)))
-
-    def __post_init__(self) -> None:
-        errors = len(self.names) - len(POSE)
-        if len(self.constant_error_cov) != errors:
-            if self.constant_error_cov.any():
-                raise ValueError(
-                    f"expected a covariance of {errors} constant errors, found {self.constant_error_cov.shape}"
-                )
-            object.__setattr__(self, "constant_error_cov", np.zeros((errors, errors)))
 
     def __len__(self) -> int:
         return int(self.columns.shape[1])
@@ -63,7 +54,14 @@ class Particles:
     def estimate(self) -> Estimate:
         """See `estimate`."""
         mean, residual, weight = centred(self)
-        return Estimate(self.names, mean, np.asarray((residual * weight) @ residual.T) + _within(self))
+        cov = np.asarray((residual * weight) @ residual.T)
+        if self.constant_error_cov.any():
+            # Within each particle the camera is where it is, not so the robot.
+            by_constant_error = np.eye(len(self.names))[:, len(POSE) :]
+            if CAMERA_YAW in self.names:
+                by_constant_error[2] = -by_constant_error[self.names.index(CAMERA_YAW)]
+            cov += np.asarray(by_constant_error @ self.constant_error_cov @ by_constant_error.T)
+        return Estimate(self.names, mean, cov)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,14 +194,6 @@ def centred(particles: Particles) -> tuple[Array, Array, Array]:
             mean[row] = weight @ column
             residual[row] = column - mean[row]
     return mean, residual, weight
-
-
-def _within(particles: Particles) -> Array:
-    """Return the covariance (D, D) within each particle: the camera is where it is, not so the robot."""
-    by_constant_error = np.eye(len(particles.names))[:, len(POSE) :]
-    if CAMERA_YAW in particles.names:
-        by_constant_error[2] = -by_constant_error[particles.names.index(CAMERA_YAW)]
-    return np.asarray(by_constant_error @ particles.constant_error_cov @ by_constant_error.T)
 
 
 # -- resampling: on average as many offspring as the weight says ------------------------------------------------------

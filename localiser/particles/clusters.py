@@ -116,7 +116,10 @@ def _densest(weight: Array, mass: float) -> Indices:
 
 
 def _connected(cells: Indices, around: int) -> Indices:
-    """Return the label (K,) of each cell's connected part: the index of its first cell."""
+    """Return the connected part (K,) of each cell, numbered from 0 in the order of their first cells."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
     # A margin of one cell on each side, so that neighbours beyond the border have keys of their own.
     width = cells[:, 1].max() + 3
 
@@ -128,22 +131,8 @@ def _connected(cells: Indices, around: int) -> Indices:
     wanted = key_of(cells + _NEIGHBOURS[:, None])
     found = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
     neighbour, touches = np.nonzero(key[found] == wanted)
-    return _components(len(cells), np.stack([touches, found[neighbour, touches]]))
-
-
-def _components(count: int, links: Indices) -> Indices:
-    """Return for each of `count` nodes the lowest node that the links (2, M) connect it to."""
-    label = np.arange(count)
-    while True:
-        ends = label[links]
-        lowest = label.copy()
-        # Hang the root of either end below the lower one, then point every node at its root.
-        np.minimum.at(lowest, ends.ravel(), np.tile(ends.min(axis=0), 2))
-        while (lowest[lowest] != lowest).any():
-            lowest = lowest[lowest]
-        if np.array_equal(lowest, label):
-            return label
-        label = lowest
+    links = csr_array((np.ones(len(touches)), (touches, found[neighbour, touches])), (len(cells), len(cells)))
+    return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
 
 
 def _sums(index: Indices, value: Array) -> Array:

@@ -12,7 +12,7 @@ from localiser.filter import optimal_proposal
 from localiser.filter.optimal_proposal import OptimalProposal, flattened, step_density
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
-from localiser.motion import MotionParameters, predict
+from localiser.motion import MotionParameters
 from localiser.observation import (
     EdgeObservation,
     Frame,
@@ -99,24 +99,24 @@ def test_nothing_told_moves_particles_blindly():
     nothing = Targets(np.zeros((0, 2)), np.zeros(0), np.zeros(0), False)
     moved = OptimalProposal(CAMERA, nothing, 1.0, 0.3, 0.5).moved(cloud(), MOVE, MOTION, np.random.default_rng(0))
     assert np.ptp(moved.log_weight) < 1e-12
-    blind = predict(cloud(), MOVE, MOTION, np.random.default_rng(0))
+    blind = MOTION.predict(cloud(), MOVE, np.random.default_rng(0))
     assert moved.columns.tobytes() == blind.columns.tobytes()
 
 
 @pytest.mark.parametrize("kind", ["line", "slope"])
 def test_posterior_is_that_of_blind_moves_with_far_more_of_the_particles(kind):
     rng = np.random.default_rng(5)
-    truth = predict(cloud(1, seed=8), MOVE, MOTION, rng).poses[0]
+    truth = MOTION.predict(cloud(1, seed=8), MOVE, rng).poses[0]
     edges, one = edges_at(truth), observation(kind)
     posterior, effective = [], []
     for guided, count in ((True, 4000), (False, 400_000)):
         before = cloud(count, seed=6)
         if guided:
-            few = predict(take(before, np.arange(500)), MOVE, MOTION, rng)
+            few = MOTION.predict(take(before, np.arange(500)), MOVE, rng)
             targets = one.associate_cloud(few, Sighting(0, edges), MAP).targets(0.9)
             moved = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.5).moved(before, MOVE, MOTION, rng)
         else:
-            moved = predict(before, MOVE, MOTION, rng)
+            moved = MOTION.predict(before, MOVE, rng)
         weighed = replace(moved, log_weight=moved.log_weight + one.log_likelihood(moved, Sighting(0, edges), MAP))
         posterior.append(estimate(weighed))
         effective.append(effective_sample_size(weighed.weight) / count)
@@ -159,7 +159,7 @@ def test_weights_take_back_stages_that_were_cut_short(monkeypatch):
     )
     found, blind = (
         estimate(guided),
-        estimate(predict(cloud(50_000, sigma=0.05), MOVE, MOTION, np.random.default_rng(1))),
+        estimate(MOTION.predict(cloud(50_000, sigma=0.05), MOVE, np.random.default_rng(1))),
     )
     sigma = np.sqrt(np.diag(blind.cov))
     assert (found.mean - blind.mean) / sigma == pytest.approx(np.zeros(3), abs=0.1)

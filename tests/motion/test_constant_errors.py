@@ -20,7 +20,7 @@ from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry,
 from localiser.filter.events import moves_between
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap, sight
-from localiser.motion import MotionParameters, predict, wheel_cov
+from localiser.motion import MotionParameters, wheel_cov
 from localiser.motion.constant_errors import CONSTANT_ERRORS, EXACT, ConstantErrorParameters, at_start, forgotten
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles
@@ -83,7 +83,7 @@ def test_what_is_known_after_a_way_that_nobody_saw_is_what_brute_force_says() ->
 
     cloud = start(count)
     for increment in increments:
-        cloud = predict(cloud, increment, NOISE, rng)
+        cloud = NOISE.predict(cloud, increment, rng)
     found = particles.estimate(cloud)
     assert found.names == (*POSE, *CONSTANT_ERRORS)
     sigma = expected.std(axis=1)
@@ -97,7 +97,7 @@ def test_the_camera_is_carried_where_its_own_yaw_says() -> None:
     columns = still.columns.copy()
     columns[2], columns[7] = 0.1, np.deg2rad(2.0)
     none = MotionParameters(0.0, 0.0, 0.0, 0.0, bias=WIDE)
-    after = predict(replace(still, columns=columns), Increment.from_mean([0, -1.0, 0]), none, np.random.default_rng(0))
+    after = none.predict(replace(still, columns=columns), Increment.from_mean([0, -1.0, 0]), np.random.default_rng(0))
     np.testing.assert_allclose(after["x"], -np.sin(0.1), atol=1e-3)
     np.testing.assert_allclose(after["z"], -np.cos(0.1), atol=1e-3)
     np.testing.assert_allclose(after["heading"], 0.1, atol=1e-12)
@@ -115,7 +115,7 @@ def test_biases_are_learnt_from_where_the_camera_is_seen_and_their_sigmas_are_ho
         for increment in increments:
             pose = driven(pose, bias[:, None], [increment], rng)
             camera = pose[0] + [0, 0, bias[4]] + measured_sigma * rng.standard_normal(3)
-            cloud = predict(cloud, increment, NOISE, rng)
+            cloud = NOISE.predict(cloud, increment, rng)
             seen = cloud.poses + np.stack([0 * cloud["x"], 0 * cloud["x"], cloud["camera_yaw"]], axis=1)
             off = seen - camera
             off[:, 2] = wrap_angle(off[:, 2])
@@ -131,10 +131,10 @@ def test_biases_are_learnt_from_where_the_camera_is_seen_and_their_sigmas_are_ho
 
 def test_a_robot_that_stands_learns_nothing_and_one_that_turns_nothing_of_its_distance() -> None:
     cloud = start(50)
-    stood = predict(cloud, Increment.from_mean(np.zeros(3)), NOISE, np.random.default_rng(0))
+    stood = NOISE.predict(cloud, Increment.from_mean(np.zeros(3)), np.random.default_rng(0))
     np.testing.assert_allclose(stood.constant_error_cov, cloud.constant_error_cov, atol=1e-15)
     np.testing.assert_allclose(stood.columns, cloud.columns, atol=1e-12)
-    turned = predict(cloud, Increment.from_mean([0, 0, 1.0]), NOISE, np.random.default_rng(0))
+    turned = NOISE.predict(cloud, Increment.from_mean([0, 0, 1.0]), np.random.default_rng(0))
     np.testing.assert_allclose(np.diag(turned.constant_error_cov)[[0, 2]], np.diag(cloud.constant_error_cov)[[0, 2]])
     assert turned.constant_error_cov[1, 1] < cloud.constant_error_cov[1, 1]
 
@@ -170,7 +170,7 @@ def test_an_estimate_is_forgotten_towards_the_prior_the_cameras_heading_staying_
 def test_what_vision_measured_tells_nothing_of_the_wheels() -> None:
     increment = Increment.from_mean([0, -0.5, 0.1], np.diag([0.01, 0.01, 0.01]) ** 2)
     cloud = start(50)
-    after = predict(cloud, increment, NOISE, np.random.default_rng(0))
+    after = NOISE.predict(cloud, increment, np.random.default_rng(0))
     np.testing.assert_allclose(after.columns[3:], cloud.columns[3:])
     np.testing.assert_allclose(after.constant_error_cov, cloud.constant_error_cov)
 
@@ -187,7 +187,7 @@ def test_biases_that_cannot_be_wrong_stay_nought() -> None:
     rng = np.random.default_rng(3)
     cloud = at_start(particles.from_gaussian(np.zeros(3), CERTAIN, 20, rng), sure, rng)
     for increment in drive(5):
-        cloud = predict(cloud, increment, replace(NOISE, bias=sure), rng)
+        cloud = replace(NOISE, bias=sure).predict(cloud, increment, rng)
     np.testing.assert_allclose(cloud.columns[3:], 0, atol=1e-15)
     np.testing.assert_allclose(cloud.constant_error_cov, 0, atol=1e-18)
 

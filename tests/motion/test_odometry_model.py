@@ -17,7 +17,6 @@ from localiser.motion import (
     direction_of_travel,
     linearised,
     noise_variances,
-    predict,
     up_of,
 )
 from localiser.particles import POSE, Particles
@@ -64,7 +63,7 @@ def assert_same_covariance(found: Array, expected: Array, slack: float) -> None:
 def test_mean_and_covariance_are_those_of_the_linearised_model(motion: list[float], heading: float) -> None:
     """5 standard errors; turn noise of 1 to 4 % of a radian bends the cloud by less than 1 % of its size."""
     start, increment = np.array([1.0, -2.0, heading]), Increment.from_mean(motion)
-    after = predict(at(start), increment, PARAMETERS, np.random.default_rng(1))
+    after = PARAMETERS.predict(at(start), increment, np.random.default_rng(1))
     mean, cov = moments(after, compose(start, increment.mean))
     _, expected = linearised(start, increment, PARAMETERS)
     bend = np.trace(expected[2:, 2:]) * np.hypot(*motion[:2])
@@ -121,7 +120,7 @@ def test_a_robot_that_went_to_and_fro_has_noise() -> None:
     _, cov = linearised(np.zeros(3), increment, PARAMETERS)
     distance = 2 * PARAMETERS.alpha3
     np.testing.assert_allclose(np.diag(cov), [SLIP**2 * distance, distance, 2 * PARAMETERS.alpha2], atol=1e-18)
-    after = predict(at(np.zeros(3)), increment, PARAMETERS, np.random.default_rng(4))
+    after = PARAMETERS.predict(at(np.zeros(3)), increment, np.random.default_rng(4))
     assert_same_covariance(moments(after, np.zeros(3))[1], cov, slack=0.01)
 
 
@@ -131,7 +130,7 @@ def test_without_noise_every_particle_is_moved_exactly(right: float, back: float
     columns = np.array([[1.0, -3.0], [2.0, 0.5], [heading, 0.0]])
     particles = Particles(POSE, columns, np.log([0.25, 0.75]))
     increment = Increment.from_mean([right, back, turn])
-    after = predict(particles, increment, NO_NOISE, np.random.default_rng(0))
+    after = NO_NOISE.predict(particles, increment, np.random.default_rng(0))
     error = after.poses - compose(particles.poses, increment.mean)
     error[:, 2] = wrap_angle(error[:, 2])
     way_m = np.hypot(right, back)
@@ -162,8 +161,9 @@ def test_direction_of_travel_is_anticlockwise_from_straight_ahead(motion: list[f
 def test_columns_that_are_no_biases_and_weights_stay_as_they_are() -> None:
     rng = np.random.default_rng(5)
     columns = rng.normal(size=(5, 40))
-    particles = Particles((*POSE, "tilt", "scale"), columns.copy(), rng.normal(size=40), frozenset({"heading", "tilt"}))
-    after = predict(particles, Increment.from_mean([0.1, -0.4, 0.2]), PARAMETERS, rng)
+    names, circular = (*POSE, "tilt", "scale"), frozenset({"heading", "tilt"})
+    particles = Particles(names, columns.copy(), rng.normal(size=40), circular, np.zeros((2, 2)))
+    after = PARAMETERS.predict(particles, Increment.from_mean([0.1, -0.4, 0.2]), rng)
     np.testing.assert_array_equal(after.columns[3:], columns[3:])
     np.testing.assert_array_equal(after.log_weight, particles.log_weight)
     np.testing.assert_array_equal(particles.columns, columns, err_msg="the particles given are not changed")
@@ -177,9 +177,9 @@ def test_an_increment_that_knows_its_covariance_adds_it_in_the_robot_frame() -> 
     _, expected = linearised(START, increment, NO_NOISE)
     to_map = np.array([[np.cos(0.7), np.sin(0.7), 0], [-np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]])
     np.testing.assert_allclose(expected, to_map @ root @ root.T @ to_map.T, atol=1e-18)
-    after = predict(at(START), increment, NO_NOISE, np.random.default_rng(6))
+    after = NO_NOISE.predict(at(START), increment, np.random.default_rng(6))
     assert_same_covariance(moments(after, compose(START, increment.mean))[1], expected, slack=1e-9)
-    both = predict(at(START), increment, PARAMETERS, np.random.default_rng(7))
+    both = PARAMETERS.predict(at(START), increment, np.random.default_rng(7))
     _, sum_of_both = linearised(START, increment, PARAMETERS)
     assert_same_covariance(moments(both, compose(START, increment.mean))[1], sum_of_both, slack=0.01)
 
@@ -209,10 +209,10 @@ def test_particles_move_along_the_axes_of_their_step_to_the_last_bit() -> None:
 def test_moving_takes_little_memory_beside_the_particles() -> None:
     """Much more than this made the system hand out new pages for large clouds in every step."""
     cloud, rng = at(START), np.random.default_rng(0)
-    predict(cloud, Increment.from_mean(MOTIONS["arc"]), PARAMETERS, rng)  # compiles
+    PARAMETERS.predict(cloud, Increment.from_mean(MOTIONS["arc"]), rng)  # compiles
     tracemalloc.start()
     try:
-        predict(cloud, Increment.from_mean(MOTIONS["arc"]), PARAMETERS, rng)
+        PARAMETERS.predict(cloud, Increment.from_mean(MOTIONS["arc"]), rng)
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
