@@ -89,7 +89,7 @@ class Score:
 
 def undistorted(ends_px: Array, camera: Camera) -> Array:
     """Return segments (E, 2, 2) where lines are straight."""
-    return camera.undistorted().pixels_from_image(camera.image_from_pixels(ends_px))
+    return camera.ideal.pixels_from_image(camera.image_from_pixels(ends_px))
 
 
 def robust_std(values: list[float]) -> float:

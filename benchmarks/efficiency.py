@@ -30,7 +30,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.filter import Event, FilterState, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Increment, Trajectory
-from localiser.landmarks import LandmarkMap, bearing_jacobian
+from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
 from localiser.motion.constant_errors import EXACT
 from localiser.observation import EdgeObservation, ObservationParameters
@@ -55,6 +55,14 @@ def information(jacobian: Array, sigma: Array) -> Array:
     """Return Hᵀ R⁻¹ H (D, D) of measurements with Jacobian H (E, D) and independent sigma (E,)."""
     scaled = jacobian / sigma[:, None]
     return np.asarray(scaled.T @ scaled)
+
+
+def bearing_jacobian(pose: Array, camera_pose: Array, points: Array) -> Array:
+    """Return ∂bearing/∂(x, z, heading) (L, 3) by the robot's pose (3,) of points (L, 2) that its camera (3,) sees."""
+    (dx, dz), (arm_x, arm_z) = (points - camera_pose[:2]).T, camera_pose[:2] - pose[:2]
+    by_x, by_z = np.array([dz, -dx]) / (dx**2 + dz**2)
+    # A robot that turns about its own centre moves the camera sideways too.
+    return np.stack([by_x, by_z, 1 + (by_x * arm_z - by_z * arm_x)], axis=-1)
 
 
 def bearing_information(pose: Array, camera: Camera, points: Array, edges: Edges, observation: str) -> Array:

@@ -139,8 +139,9 @@ class Camera:
         """Return the camera as it was mounted for one image; None: as it is. The last few are kept."""
         return self if mount is None or mount == self.mount else _mounted(self, mount)
 
-    def undistorted(self) -> Camera:
-        """Return the ideal pinhole camera with the same matrix and mount."""
+    @cached_property
+    def ideal(self) -> Camera:
+        """The ideal pinhole camera with the same matrix and mount; its pixels are called undistorted."""
         return replace(self, distortion_model="none", distortion=())
 
     @property
@@ -312,9 +313,8 @@ class Camera:
         if abs(s) < 1e-12:
             from_lean = np.full((*b.shape, 2), np.nan)
         else:
-            from_lean = np.stack(
-                [geometry.bearing_per_tilt_from_lean(b, tilt), geometry.bearing_per_lean(b, tilt)], axis=-1
-            )
+            per_tilt = -0.5 * np.sin(2 * b) * c / s
+            from_lean = np.stack([per_tilt, geometry.bearing_per_lean(b, tilt)], axis=-1)
         # tan b = a / (c + e s). Tilt: moves c + e s by (e c - s). Roll by dρ: (a, e) -> (a + e dρ, e - a dρ).
         depth = c + e * s
         a = np.tan(b) * depth

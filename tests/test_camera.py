@@ -179,7 +179,7 @@ def test_every_lens_model_is_undone(model, count):
     pixels = np.stack([u, v], axis=-1)
     image = camera.image_from_pixels(pixels)
     np.testing.assert_allclose(camera.pixels_from_image(image), pixels, atol=1e-9)
-    straight = camera.undistorted().image_from_pixels(pixels)
+    straight = camera.ideal.image_from_pixels(pixels)
     bends = np.abs(image - straight).max()
     assert bends > 1e-3 if camera.is_distorted else bends == 0
 
@@ -392,8 +392,8 @@ def test_changing_the_mount_or_the_lens_leaves_the_rest():
     assert (tilted.mount.tilt_rad, tilted.mount.roll_rad, tilted.mount.yaw_rad) == (0.5, 0.1, 0.1)
     assert tilted.distortion == camera.distortion
     assert not np.allclose(tilted.level_from_camera, camera.level_from_camera)
-    assert camera.undistorted().mount == camera.mount
-    assert not camera.undistorted().is_distorted
+    assert camera.ideal.mount == camera.mount
+    assert not camera.ideal.is_distorted
 
 
 def test_camera_pose_in_the_map():

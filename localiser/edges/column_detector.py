@@ -11,7 +11,7 @@ from localiser.camera import Camera
 from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_field, linked, peaks_of
 from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
 from localiser.edges.types import Segments
-from localiser.edges.views import ROWS_PER_BLOCK, Image, column_view, half_camera, halved, ideal_camera
+from localiser.edges.views import ROWS_PER_BLOCK, Image, column_view, half_camera, halved
 from localiser.geometry import Array
 
 _SAME_EDGE_SHARE = 0.25
@@ -56,7 +56,7 @@ def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
     points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
     column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
     upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
-    ideal_px = ideal_camera(camera).pixels_from_upright(upright)
+    ideal_px = camera.ideal.pixels_from_upright(upright)
     to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
     return Segments(
         ends_px=ideal_px[:, :2],

@@ -12,17 +12,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
 from localiser.camera import Camera
 from localiser.edges.types import Segments
-from localiser.edges.views import Image, ideal_camera, ideal_view
+from localiser.edges.views import Image, remap_tables
 from localiser.geometry import Array
 from localiser.markers import DICTIONARIES
 
@@ -116,6 +117,10 @@ LSD_SHIFT_PX = 0.125
 (x + 1/2) / 0.8 instead of (x + 1) / 0.8 - 1/2 for a gradient between x and x + 1."""
 HOUGH_SIGMA_PX = 0.7
 """Error of an end of a Hough segment across the line: its points are whole pixels."""
+_LARGEST_GROWTH = 2.0
+"""Limit of the ideal image's size over the taken one's; a wide lens sees what no sensible flat image can hold."""
+_MARGIN_PX = 3
+"""Pixels of the ideal image that are closer than this to one without content are not used."""
 _BORDER_SHARE = 0.5
 """A segment is the border of the field of view if more than this fraction of it runs along that border."""
 
@@ -147,25 +152,35 @@ def _lines(found: object) -> Array:
 
 
 def on_ideal_image(image: Image, camera: Camera, lines_of: Callable[[Image], Array], sigma_px: float) -> Segments:
-    """Return the segments that a detector finds where lines are straight, in undistorted pixels.
-
-    Where the lens bends lines negligibly the taken image is searched and the ends are undistorted.
-    """
-    view = ideal_view(camera)
-    if view is None:
-        taken = lines_of(image).reshape(-1, 2, 2)
-        ends = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(taken))
-    else:
-        found = lines_of(view.of(image)).reshape(-1, 2, 2)
-        found = found[~_is_border(found, view.seen)]
-        ends = found + np.array([camera.cx - view.camera.cx, camera.cy - view.camera.cy])
-    return Segments.of_ends(ends, sigma_px, camera.mount.roll_rad)
-
-
-def _is_border(ends_px: Array, seen: Image) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Return (S,) whether segments run along or outside the border of what is `seen` (H, W)."""
+    """Return the segments that a detector finds where lines are straight, in undistorted pixels."""
+    if not camera.is_distorted:
+        ends = camera.ideal.pixels_from_image(camera.image_from_pixels(lines_of(image).reshape(-1, 2, 2)))
+        return Segments.of_ends(ends, sigma_px, camera.mount.roll_rad)
+    corner, map_1, map_2, seen = _ideal_tables(camera)
+    straight = np.asarray(cv2.remap(image, map_1, map_2, cv2.INTER_LINEAR), dtype=np.uint8)
+    ends = lines_of(straight).reshape(-1, 2, 2)
+    # What runs along or outside the border of what is seen is that border.
     steps = np.linspace(0.0, 1.0, 17)[:, None]
-    points = ends_px[:, None, 0] * (1 - steps) + ends_px[:, None, 1] * steps
+    points = ends[:, None, 0] * (1 - steps) + ends[:, None, 1] * steps
     column, row = np.moveaxis(np.rint(points).astype(int), -1, 0)
     column, row = column.clip(0, seen.shape[1] - 1), row.clip(0, seen.shape[0] - 1)
-    return np.asarray((seen[row, column] == 0).mean(axis=1) > _BORDER_SHARE)
+    is_border = (seen[row, column] == 0).mean(axis=1) > _BORDER_SHARE
+    return Segments.of_ends(ends[~is_border] + corner, sigma_px, camera.mount.roll_rad)
+
+
+@lru_cache(maxsize=8)
+def _ideal_tables(camera: Camera) -> tuple[Array, NDArray[np.int16], NDArray[np.uint16], Image]:
+    """Return the corner (2,) of the ideal image that holds the whole field of view, its `cv2.remap`, and what is seen.
+
+    The corner is in undistorted pixels. seen: (H, W), 0 where the taken image has nothing to show, or close to there.
+    """
+    border = camera.ideal.pixels_from_image(camera.image_from_pixels(camera.border_px().reshape(-1, 2)))
+    size = np.array([camera.width, camera.height])
+    slack = (_LARGEST_GROWTH - 1) / 2 * size
+    left, top = np.floor(np.maximum(border.min(axis=0), -slack)).astype(int).tolist()
+    right, bottom = np.ceil(np.minimum(border.max(axis=0), size - 1 + slack)).astype(int).tolist()
+    ideal = replace(camera.ideal, cx=camera.cx - left, cy=camera.cy - top)
+    map_1, map_2, unseen = remap_tables(ideal.image_from_pixels, (right - left + 1, bottom - top + 1), camera)
+    around = np.ones((2 * _MARGIN_PX + 1, 2 * _MARGIN_PX + 1), np.uint8)
+    seen = cv2.erode((~unseen).astype(np.uint8), around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.array([camera.cx - ideal.cx, camera.cy - ideal.cy]), map_1, map_2, np.asarray(seen, dtype=np.uint8)

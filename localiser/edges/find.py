@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from localiser.camera import Camera, Mount, MountSigma
 from localiser.edges.column_detector import Columns
 from localiser.edges.detectors import DETECTORS, Detector, EdgeParameters, hough, lsd, register, registered
-from localiser.edges.measure import Readout, edges_of_segments, polarity_of_profiles, profiles, readout_of
+from localiser.edges.measure import edges_of_segments, polarity_of_profiles, profiles, readout_of
 from localiser.edges.mount import LENS_SIGMA, NEAR_RAD, MountError, NadirMiss, fit_mount, nadir_miss
 from localiser.edges.types import Edges, Segments
-from localiser.edges.views import Image, half_camera, halved, ideal_camera
+from localiser.edges.views import Image, half_camera, halved
 from localiser.errors import InputError
 from localiser.geometry import Array, Twist
 from localiser.geometry.compiled import compiled
@@ -74,7 +74,10 @@ def find_edges(
         )
     segments, readout, turn_sigma_rad = taken, readout_of(camera, twist), np.zeros(len(taken))
     if readout is not None:
-        segments, turn_sigma_rad = at_stamp(taken, readout)
+        rate, rate_sigma = readout.rates(taken.ends_px)
+        ends_px, support_px = (readout.at_stamp(points, rate) for points in (taken.ends_px, taken.support_px))
+        segments = replace(taken, ends_px=ends_px, support_px=support_px)
+        turn_sigma_rad = np.abs(readout.turn_of(support_px, rate)) * np.hypot(rate_sigma, readout.turn_sigma_rad_s)
     stated, usual = camera.mount.sigma or MountSigma(), parameters.mount_sigma_rad.tolist()
     sigmas = zip((stated.tilt_rad, stated.roll_rad), usual, strict=True)
     mount_sigma_rad = np.array([otherwise if sigma is None else sigma for sigma, otherwise in sigmas])
@@ -91,7 +94,7 @@ def find_edges(
     is_long = edges.length_px >= parameters.min_length_px
     is_sure = is_long & has_direction(edges, plumb_sigma_rad, parameters.gate_sigma)
     edges = edges.take(is_sure | (edges.landmark_id < -1))
-    rejected = ideal_camera(camera).image_from_pixels(others.ends_px)
+    rejected = camera.ideal.image_from_pixels(others.ends_px)
     return replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
 
 
@@ -112,19 +115,11 @@ def _detector_of(parameters: EdgeParameters) -> Detector:
     return Columns(parameters.min_contrast) if isinstance(detector, Columns) else detector
 
 
-def at_stamp(taken: Segments, readout: Readout) -> tuple[Segments, Array]:
-    """Return segments (S) as they were at the image's time stamp, and how far (S,) rad each may be turned besides."""
-    rate, rate_sigma = readout.rates(taken.ends_px)
-    ends_px, support_px = (readout.at_stamp(points, rate) for points in (taken.ends_px, taken.support_px))
-    turn_sigma_rad = np.abs(readout.turn_of(support_px, rate)) * np.hypot(rate_sigma, readout.turn_sigma_rad_s)
-    return replace(taken, ends_px=ends_px, support_px=support_px), turn_sigma_rad
-
-
 def _segments_of_lines(lines: Array, camera: Camera) -> Segments:
     """Return lines (S, 4) of the image as taken as segments. Raises InputError when they have another shape."""
     if lines.size and (lines.ndim != 2 or lines.shape[1] != 4):
         raise InputError(f"expected lines (S, 4) of a detector, found an array {lines.shape}", field="detector")
-    ends = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(lines.reshape(-1, 2, 2)))
+    ends = camera.ideal.pixels_from_image(camera.image_from_pixels(lines.reshape(-1, 2, 2)))
     return Segments.of_ends(ends, END_SIGMA_PX, camera.mount.roll_rad)
 
 
@@ -187,7 +182,7 @@ def vertical_segments(
     miss = nadir_miss(segments, camera, plumb_sigma_rad, lens_sigma=LENS_SIGMA)
     miss = replace(miss, sigma=np.hypot(miss.sigma, turn_sigma_rad))
     prior = MountError.prior(mount_sigma_rad)
-    e, tilt_rad = ideal_camera(camera).upright_from_pixels(segments.ends_px)[..., 1], camera.mount.tilt_rad
+    e, tilt_rad = camera.ideal.upright_from_pixels(segments.ends_px)[..., 1], camera.mount.tilt_rad
     above_nadir = (np.cos(tilt_rad) + e * np.sin(tilt_rad)).min(axis=1) > _ABOVE_NADIR
     candidates = above_nadir & _is_met(miss, prior, gate_sigma)
     # Of a vague mount, lines that are not vertical are candidates too: they would tell that all edges are crooked.
@@ -217,7 +212,7 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
     unless they are too close to be distinguished. The most certain segment collects what agrees with it first, so that
     uncertain ones cannot join two edges in a chain.
     """
-    ideal = ideal_camera(camera)
+    ideal = camera.ideal
     bearing, per_px = ideal.bearings_of_segments(segments.support_px, 1.0)
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]

@@ -14,7 +14,7 @@ from localiser import geometry
 from localiser.camera import Camera, MountSigma
 from localiser.edges.lines import Groups
 from localiser.edges.types import TURN_RATE, CommonError, Edges, Segments
-from localiser.edges.views import Image, ideal_camera
+from localiser.edges.views import Image
 from localiser.geometry import UNKNOWN_TWIST, Array, Twist
 
 _TYPICAL_INVERSE_RANGE = 0.4
@@ -65,7 +65,7 @@ def profiles(ends_px: Array, image: Image, camera: Camera, taken_of: Callable[[A
     points = bottom + (top - bottom) * along + rightwards * PROFILE_OFFSETS_PX[:, None]
     points = points if taken_of is None else taken_of(points)
     bent = camera.is_distorted
-    taken = camera.pixels_from_image(ideal_camera(camera).image_from_pixels(points)) if bent else points
+    taken = camera.pixels_from_image(camera.ideal.image_from_pixels(points)) if bent else points
     u, v = np.ascontiguousarray(taken.astype(np.float32).reshape(len(ends_px), -1, 2).transpose(2, 0, 1))
     inside = ((u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)).reshape(taken.shape[:-1])
     grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(inside.shape)
@@ -144,24 +144,24 @@ class Readout:
 
     def turn_of(self, ends_px: Array, rate: Array) -> Array:
         """Return d(lean)/d(turn rate) (S,), s, of segments with ends (S, 2, 2) at the time stamp."""
-        ideal = ideal_camera(self.camera)
+        ideal = self.camera.ideal
         change = ideal.lean_of_segments(self.moved(ends_px, rate)) - ideal.lean_of_segments(ends_px)
         return np.asarray(geometry.wrap_half_turn(change) / _STEP_RAD_S)
 
     def shift_of(self, ends_px: Array, rate: Array) -> Array:
         """Return d(bearing)/d(turn rate) (S,), s, of lines through the nadir point, as `turn_of`."""
-        ideal = ideal_camera(self.camera)
+        ideal = self.camera.ideal
         change = ideal.bearing_of_segments(self.moved(ends_px, rate)) - ideal.bearing_of_segments(ends_px)
         return np.asarray(change / _STEP_RAD_S)
 
     def _since_stamp_s(self, ideal_px: Array) -> Array:
         """Return when the rows of undistorted points (..., 2) are taken, after the time stamp."""
         assert self.camera.shutter is not None
-        taken = self.camera.pixels_from_image(ideal_camera(self.camera).image_from_pixels(ideal_px))
+        taken = self.camera.pixels_from_image(self.camera.ideal.image_from_pixels(ideal_px))
         return self.camera.shutter.since_stamp_s(taken[..., 1])
 
     def _rays(self, ideal_px: Array) -> Array:
-        return ideal_camera(self.camera).level_rays(ideal_px)
+        return self.camera.ideal.level_rays(ideal_px)
 
     def _turned(self, ideal_px: Array, bearing_rad: Array) -> Array:
         """Return undistorted points (..., 2) turned about the vertical, towards larger bearings by angles (...)."""
@@ -169,7 +169,7 @@ class Readout:
         cos, sin = np.cos(bearing_rad), np.sin(bearing_rad)
         level = np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1)
         right, up, backward = np.moveaxis(level @ self.camera.level_from_camera, -1, 0)
-        ideal = ideal_camera(self.camera)
+        ideal = self.camera.ideal
         return ideal.pixels_from_image(np.stack([right, up], axis=-1) / -backward[..., None])
 
 
@@ -215,7 +215,7 @@ def edges_of_segments(
     bearing, bearing_sigma = _bearings(segments, groups, camera)
     lean, lean_sigma, upright_ends, middle_e = _lean_and_ends(segments, groups, camera)
     image_ends = camera.image_from_upright(upright_ends)
-    ideal = ideal_camera(camera)
+    ideal = camera.ideal
     ends_px, ideal_px = camera.pixels_from_image(image_ends), ideal.pixels_from_image(image_ends)
     pieces_px = groups.sum(np.linalg.norm(segments.ends_px[:, 1] - segments.ends_px[:, 0], axis=-1))
     polarity = np.zeros(groups.count, dtype=np.int8)
@@ -244,7 +244,7 @@ def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array
 
     Segments of one edge that disagree by more than their sigmas make it as uncertain as they are apart.
     """
-    ideal = ideal_camera(camera)
+    ideal = camera.ideal
     each, sigma = ideal.bearings_of_segments(segments.support_px, segments.across_sigma_px)
     weight = sigma**-2
     total = groups.sum(weight)
@@ -256,7 +256,7 @@ def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array
 
 def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array, Array, Array, Array]:
     """Return lean (E,), its sigma (E,), upright ends (E, 2, 2), bottom first, and mean height e (E,) of free lines."""
-    ideal = ideal_camera(camera)
+    ideal = camera.ideal
     support = ideal.upright_from_pixels(segments.support_px)
     members = np.bincount(groups.of, minlength=groups.count)[groups.of]
     # What moves a segment as a whole turns an edge only where segments are joined.

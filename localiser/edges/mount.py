@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges.types import TURN_RATE, Edges, Segments
-from localiser.edges.views import ideal_camera
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -106,7 +105,7 @@ def nadir_miss(segments: Segments, camera: Camera, plumb_sigma_rad: float, *, le
     and by δρ c / s along a; seen from (a, e) it turns by a / q² δθ and c (c + e s) / q² δρ, where q² = (a s)² +
     (c + e s)². Also right when the tilt is 0.
     """
-    support = ideal_camera(camera).upright_from_pixels(segments.support_px)
+    support = camera.ideal.upright_from_pixels(segments.support_px)
     across, up = (support[:, 1] - support[:, 0]).T
     a, e = support.mean(axis=1).T
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
@@ -204,7 +203,7 @@ def mount_error_of_edges(
     lens_sigma: see `nadir_miss`. 0 where many images follow each other: an error of the lens is the same in all of
     them, and one that is estimated anew in each is not.
     """
-    ideal_px = ideal_camera(camera).pixels_from_image(camera.image_from_pixels(edges.ends_px))
+    ideal_px = camera.ideal.pixels_from_image(camera.image_from_pixels(edges.ends_px))
     miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad, lens_sigma=lens_sigma)
     sigma, tilt_rad = edges.lean_sigma, camera.mount.tilt_rad
     if TURN_RATE in edges.common.names and tilt_rad != 0:

@@ -207,7 +207,7 @@ def complete(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Straight segments, S of them, in undistorted pixels: those of `Camera.undistorted`.
+    """Straight segments, S of them, in undistorted pixels: those of `Camera.ideal`.
 
     ends_px: (S, 2, 2) bottom and top end. support_px: (S, 2, 2) lower and upper point whose errors across the line,
     sigma_px (S,) each and independent, say how certain the line is; those of a general detector are its ends, those

@@ -17,38 +17,8 @@ from localiser.geometry.compiled import compiled
 
 Image = NDArray[np.uint8]
 
-NEGLIGIBLE_BEND_PX = 0.1
-"""A line detector cannot tell a line that bends by less than this from a straight one."""
 _GRID_PX = 8
 """Spacing of the grid on which lens models are computed; between, a cubic is off by less than tables round off."""
-_LARGEST_GROWTH = 2.0
-"""Limit of the ideal image's size over the taken one's; a wide lens sees what no sensible flat image can hold."""
-_MARGIN_PX = 3
-"""Pixels of the ideal image that are closer than this to one without content are not used."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class IdealView:
-    """A remap of the taken image into an ideal one that holds the whole field of view.
-
-    camera: the pinhole camera of the ideal image. map_1, map_2: tables of `cv2.remap`. seen: (H, W) uint8, 0 where
-    the taken image has nothing to show, or within 3 px of there.
-    """
-
-    camera: Camera
-    map_1: NDArray[np.int16]
-    map_2: NDArray[np.uint16]
-    seen: Image
-
-    def of(self, image: Image) -> Image:
-        """Return the ideal image of a taken one (H, W)."""
-        return np.asarray(cv2.remap(image, self.map_1, self.map_2, cv2.INTER_LINEAR), dtype=np.uint8)
-
-
-@lru_cache(maxsize=8)
-def ideal_camera(camera: Camera) -> Camera:
-    """Return the cached ideal pinhole camera with the same matrix and mount."""
-    return camera.undistorted()
 
 
 @lru_cache(maxsize=8)
@@ -72,41 +42,6 @@ def halved(grey: Image) -> Image:
     height, width = grey.shape[0] // 2, grey.shape[1] // 2
     even = grey[: 2 * height, : 2 * width]
     return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
-
-
-def bend_px(camera: Camera) -> float:
-    """Return by how many pixels the lens bends a straight line across the image at most.
-
-    Measured on the image border and the middle lines, as the largest distance from the chord.
-    """
-    if not camera.is_distorted:
-        return 0.0
-    top, bottom, left, right = camera.border_px(33)
-    lines = np.array([top, (top + bottom) / 2, bottom, left, (left + right) / 2, right])
-    straight = camera.undistorted().pixels_from_image(camera.image_from_pixels(lines))
-    chord = straight[:, -1] - straight[:, 0]
-    offset = straight - straight[:, :1]
-    across = offset[..., 0] * chord[:, None, 1] - offset[..., 1] * chord[:, None, 0]
-    return float(np.max(np.abs(across) / np.linalg.norm(chord, axis=1)[:, None]))
-
-
-@lru_cache(maxsize=8)
-def ideal_view(camera: Camera) -> IdealView | None:
-    """Return the cached remap that undoes the lens distortion of `camera`, or None where that is negligible."""
-    if bend_px(camera) < NEGLIGIBLE_BEND_PX:
-        return None
-    border = camera.undistorted().pixels_from_image(camera.image_from_pixels(camera.border_px().reshape(-1, 2)))
-    size = np.array([camera.width, camera.height])
-    slack = (_LARGEST_GROWTH - 1) / 2 * size
-    left, top = np.floor(np.maximum(border.min(axis=0), -slack)).astype(int).tolist()
-    right, bottom = np.ceil(np.minimum(border.max(axis=0), size - 1 + slack)).astype(int).tolist()
-    width, height = right - left + 1, bottom - top + 1
-    ideal = replace(camera.undistorted(), width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
-    map_1, map_2, unseen = remap_tables(ideal.image_from_pixels, (width, height), camera)
-    around = np.ones((2 * _MARGIN_PX + 1, 2 * _MARGIN_PX + 1), np.uint8)
-    shown = (~unseen).astype(np.uint8)
-    seen = np.asarray(cv2.erode(shown, around, borderType=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
-    return IdealView(ideal, map_1, map_2, seen)
 
 
 def remap_tables(

@@ -35,7 +35,6 @@ from localiser.geometry.slopes import (
     bearing_from_lean,
     bearing_from_point,
     bearing_per_lean,
-    bearing_per_tilt_from_lean,
     edge_a_at,
     floor_range,
     floor_range_sigma,

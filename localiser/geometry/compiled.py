@@ -1,10 +1,12 @@
 """Compile loops by numba, and keep their machine code, so that only the first run has to wait for it.
 
-The key of numba's own cache is the time of a loop's file alone. If a function that is inlined from another file
-changes, the old machine code stays in use. Here the key is a digest of the loop's file, of the files of loops and the
-constants that it imports, of how it is compiled, the types of the arguments, the processor and the versions of numba,
-LLVM, numpy and Python. So kept code is never out of date, as long as loops use nothing else from other files, which a
-test checks. Several checkouts, users of one account and processes can share it.
+Numba's own cache does not do (0.68): its key is the time of a loop's file alone, so where a function that is inlined
+from another file changes, the old machine code stays in use; two processes that compile at once can mix up their files;
+a damaged file, or no folder that can be written, ends the program. Here
+the key is a digest of the loop's file, of the files of loops and the constants that it imports, of how it is compiled,
+the types of the arguments, the processor and the versions of numba, LLVM, numpy and Python. So kept code is never out
+of date, as long as loops use nothing else from other files, which a test checks. Several checkouts, users of one
+account and processes can share it.
 
 numba takes long to import, so it is imported when the first loop is compiled.
 """
@@ -48,7 +50,7 @@ def entry(function: F) -> F:
 
 def inlined(function: F) -> F:
     """Compile a part of loops over particles; it is inlined into the caller, where shapes are constant."""
-    return cast(F, _with_numba(function, is_kept=False, forceinline=True, no_cpython_wrapper=True, **_RULES))
+    return cast(F, _with_numba(function, forceinline=True, no_cpython_wrapper=True, **_RULES))
 
 
 def compiled(function: F) -> F:
@@ -61,23 +63,21 @@ def compiled(function: F) -> F:
 
 def part(function: F) -> F:
     """Compile a part of loops that `compiled` compiles: Python cannot call it, so nothing is made or kept for that."""
-    return cast(F, _with_numba(function, is_kept=False, no_cpython_wrapper=True, error_model="numpy", nogil=True))
+    return cast(F, _with_numba(function, no_cpython_wrapper=True, error_model="numpy", nogil=True))
 
 
 @cache
 def _kept(function: Callable[..., Any], is_entry: bool) -> Any:
-    rules = _RULES if is_entry else {"error_model": "numpy"}
-    return _with_numba(function, is_kept=True, nogil=True, **rules)
-
-
-def _with_numba(function: Callable[..., Any], is_kept: bool, **rules: Any) -> Any:
-    from numba import njit
-
-    rules["no_cfunc_wrapper"] = True  # no C code calls it
-    loop = njit(**rules)(function)
-    if is_kept and hasattr(loop, "targetoptions"):  # a plain function where NUMBA_DISABLE_JIT is set
+    loop = _with_numba(function, nogil=True, **(_RULES if is_entry else {"error_model": "numpy"}))
+    if hasattr(loop, "targetoptions"):  # a plain function where NUMBA_DISABLE_JIT is set
         loop._cache = _Kept(loop)
     return loop
+
+
+def _with_numba(function: Callable[..., Any], **rules: Any) -> Any:
+    from numba import njit
+
+    return njit(**rules, no_cfunc_wrapper=True)(function)  # no C code calls it
 
 
 # -- where machine code is kept ---------------------------------------------------------------------------------------
@@ -162,9 +162,6 @@ class _Kept:
         path = self._path(signature, result.codegen)
         if path and not result.lifted and not result.library.has_dynamic_globals:
             write_kept(path, dumps(result._reduce()), _KEPT_FILES)
-
-    def flush(self) -> None:
-        """Do nothing: what is kept is never out of date."""
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
         where, function = folder(), self._loop.py_func

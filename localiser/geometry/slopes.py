@@ -61,14 +61,6 @@ def bearing_per_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     return np.asarray((np.cos(bearing_rad) ** 2 + s**2 * np.sin(bearing_rad) ** 2) / s)
 
 
-def bearing_per_tilt_from_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
-    """Return d(bearing)/d(tilt) of a bearing computed from lean alone: -½ sin(2b) cot(tilt).
-
-    Raises ValueError when the tilt is 0.
-    """
-    return np.asarray(-0.5 * np.sin(2 * np.asarray(bearing_rad)) * np.cos(tilt_rad) / sin_of_tilt(tilt_rad))
-
-
 # -- Floor contact of an edge (inverse perspective mapping) -----------------------------------------------------------
 
 

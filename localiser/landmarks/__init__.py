@@ -3,16 +3,12 @@
 from localiser.landmarks.index import (
     Reach,
     in_view_of_cells,
-    kept_with,
     reach_of,
-    sigmas_m,
 )
-from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality
+from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality, kept_with
 from localiser.landmarks.visibility import (
     Sight,
     SightParameters,
-    bearing_jacobian,
-    by_robot_pose,
     field_of_view_rad,
     half_view_rad,
     image_heights,

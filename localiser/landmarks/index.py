@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled, entry
-from localiser.landmarks.landmark_map import LandmarkMap
+from localiser.landmarks.landmark_map import LandmarkMap, kept_with
 
 Indices = NDArray[np.int64]
 
@@ -76,17 +75,6 @@ class Reach:
         return np.unique(np.concatenate([*lists, np.zeros(0, np.int32)])).astype(np.int64)
 
 
-_OF_MAPS: WeakKeyDictionary[LandmarkMap, dict[tuple[Any, ...], Any]] = WeakKeyDictionary()
-
-
-def kept_with(landmark_map: LandmarkMap, key: tuple[Any, ...], make: Any) -> Any:
-    """Return what `make()` returns, made once for a map and a key, and kept as long as the map is."""
-    kept = _OF_MAPS.setdefault(landmark_map, {})
-    if key not in kept:
-        kept[key] = make()
-    return kept[key]
-
-
 def reach_of(landmark_map: LandmarkMap, range_m: float) -> Reach:
     """Return which landmarks a camera may see that sees so far, from every piece of the floor."""
     if not len(landmark_map):
@@ -96,12 +84,6 @@ def reach_of(landmark_map: LandmarkMap, range_m: float) -> Reach:
         return Reach.of(landmark_map.points, range_m + _MARGIN_M)
 
     found: Reach = kept_with(landmark_map, ("reach", range_m), make)
-    return found
-
-
-def sigmas_m(landmark_map: LandmarkMap, unknown_m: float) -> Array:
-    """Return what `LandmarkMap.sigma_m` does, (L,), worked out once."""
-    found: Array = kept_with(landmark_map, ("sigma_m", unknown_m), lambda: landmark_map.sigma_m(unknown_m))
     return found
 
 

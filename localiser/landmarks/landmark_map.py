@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +121,12 @@ class LandmarkMap:
 
     def sigma_m(self, unknown_m: float) -> Array:
         """Return the sigma (L,) of each position, the mean over directions; `unknown_m` where the map is silent."""
-        trace = np.trace(self.cov, axis1=1, axis2=2)
-        return np.where(np.isnan(trace), unknown_m, np.sqrt(np.maximum(trace, 0.0) / 2))
+
+        def make() -> Array:
+            trace = np.trace(self.cov, axis1=1, axis2=2)
+            return np.where(np.isnan(trace), unknown_m, np.sqrt(np.maximum(trace, 0.0) / 2))
+
+        return np.asarray(kept_with(self, ("sigma_m", unknown_m), make))
 
     def take(self, index: NDArray[np.int64]) -> LandmarkMap:
         """Return the map of the landmarks at `index` (K,), in that order."""
@@ -137,3 +142,14 @@ class LandmarkMap:
             extra=tuple(self.extra[i] for i in index) if self.extra else (),
             quality=None if self.quality is None else self.quality.take(index),
         )
+
+
+_OF_MAPS: WeakKeyDictionary[LandmarkMap, dict[tuple[Any, ...], Any]] = WeakKeyDictionary()
+
+
+def kept_with(landmark_map: LandmarkMap, key: tuple[Any, ...], make: Any) -> Any:
+    """Return what `make()` returns, made once for a map and a key, and kept as long as the map is."""
+    kept = _OF_MAPS.setdefault(landmark_map, {})
+    if key not in kept:
+        kept[key] = make()
+    return kept[key]

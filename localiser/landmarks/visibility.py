@@ -112,27 +112,6 @@ def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:
     return seen[..., 0], -seen[..., 1]
 
 
-def bearing_jacobian(robot_poses: Array, camera_poses: Array, points: Array) -> Array:
-    """Return ∂bearing/∂(x, z, heading) (..., 3) by the robot's pose, of points (..., 2) of the map.
-
-    robot_poses, camera_poses: (..., 3) where in the map the robot and its camera are.
-    """
-    dx, dz = np.moveaxis(points - camera_poses[..., :2], -1, 0)
-    squared = dx**2 + dz**2
-    by_camera = np.stack([dz / squared, -dx / squared, np.ones_like(dx)], axis=-1)
-    return by_robot_pose(by_camera, robot_poses, camera_poses)
-
-
-def by_robot_pose(by_camera_pose: Array, robot_poses: Array, camera_poses: Array) -> Array:
-    """Return derivatives (..., 3) by the robot's pose from those by the camera's pose (..., 3).
-
-    A robot that turns about its own centre moves the camera sideways too.
-    """
-    arm_x, arm_z = np.moveaxis(camera_poses[..., :2] - robot_poses[..., :2], -1, 0)
-    by_x, by_z, by_heading = np.moveaxis(by_camera_pose, -1, 0)
-    return np.stack([by_x, by_z, by_heading + (by_x * arm_z - by_z * arm_x)], axis=-1)
-
-
 def visible_length_px(camera: Camera, tangent: Array, e_bottom: Array, e_top: Array, margin_px: float = 0.0) -> Array:
     """Return the length (P,) in pixels of the part of vertical edges that lies inside the image, 0 where none does.
 
@@ -243,22 +222,15 @@ def predicted_lines(
     lowest, highest = _heights_in_image(camera, ahead)
     low, high = np.maximum(bottom[:, 1], lowest), np.minimum(top[:, 1], highest)
     seen = (ahead > 0) & (high > low)
-    low, high = low[seen], high[seen]
-    fine = _vertical_lines(camera, pose, bottom[seen], low, high, _FINE_STEPS)
+    points = np.repeat(bottom[seen][:, None, :], _FINE_STEPS, axis=1)
+    points[:, :, 1] = np.linspace(low[seen], high[seen], _FINE_STEPS, axis=-1)
+    fine = camera.project(pose, points)
     within = np.all((fine >= -0.5) & (fine <= np.array([camera.width, camera.height]) - 0.5), axis=-1)
     first, last = within.argmax(axis=1), _FINE_STEPS - 1 - within[:, ::-1].argmax(axis=1)
     # What leaves the image sideways is cut at the last point inside.
-    shown, length = within.any(axis=1) & (last > first), (high - low) / (_FINE_STEPS - 1)
-    low, high = low + first * length, low + last * length
-    steps = 12 if camera.is_distorted else 2
-    return index[seen][shown], _vertical_lines(camera, pose, bottom[seen][shown], low[shown], high[shown], steps)
-
-
-def _vertical_lines(camera: Camera, pose: Array, feet: Array, low: Array, high: Array, steps: int) -> Array:
-    """Return pixels (V, S, 2) of points over feet (V, 3) in the map, from the height `low` (V,) to `high` (V,)."""
-    points = np.repeat(feet[:, None, :], steps, axis=1)
-    points[:, :, 1] = np.linspace(low, high, steps, axis=-1)
-    return camera.project(pose, points)
+    shown = within.any(axis=1) & (last > first)
+    step = np.linspace(first[shown], last[shown], 12 if camera.is_distorted else 2, axis=-1).round().astype(np.int64)
+    return index[seen][shown], np.take_along_axis(fine[shown], step[..., None], axis=1)
 
 
 def _heights_in_image(camera: Camera, ahead: Array) -> tuple[Array, Array]:

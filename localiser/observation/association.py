@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, image_heights, in_camera, sight, sigmas_m
+from localiser.landmarks import LandmarkMap, image_heights, in_camera, sight
 from localiser.observation.frame import TOLERANCE_PX, Frame, Indices, ends_lower_first, marked_landmarks
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.likelihood import GATE_SIGMAS, MEAN_POLARITY
@@ -63,7 +63,7 @@ def expected_from(frame: Frame, camera_poses: Array, landmark_map: LandmarkMap, 
     seen = sight(frame.camera, camera_poses, landmark_map, parameters.sight.far)
     predicted, per_bearing = frame.predicted(seen.tangent)
     landmark, per_m = seen.landmark, per_bearing / seen.range_m
-    sigma_m = map_scale * sigmas_m(landmark_map, parameters.landmark_sigma_m)[landmark]
+    sigma_m = map_scale * landmark_map.sigma_m(parameters.landmark_sigma_m)[landmark]
     return Expected(
         pose=seen.pose,
         landmark=landmark,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, in_view_of_cells, kept_with, reach_of, sigmas_m
+from localiser.landmarks import LandmarkMap, in_view_of_cells, kept_with, reach_of
 from localiser.observation.frame import TOLERANCE_PX, UNKNOWN, Frame
 from localiser.observation.sighting import Sighting
 

@@ -71,7 +71,7 @@ def test_detection_probability_and_clutter_have_the_stated_means(landmark_map: L
     assert abs(clutter.mean() - 3.0) < 4 * np.sqrt(3.0 / 2000)
     assert abs(found.mean() / len(everything) - 0.7) < 4 * np.sqrt(0.21 / 2000 / len(everything))
     taken = np.concatenate([f.ends_px[f.landmark_id < 0] for f in frames[:50]])
-    false = CAMERA.undistorted().pixels_from_image(CAMERA.image_from_pixels(taken))
+    false = CAMERA.ideal.pixels_from_image(CAMERA.image_from_pixels(taken))
     half_px = np.linalg.norm(false[:, 1] - false[:, 0], axis=-1) / 2
     miss = nadir_miss(Segments.of_ends(false, 0.5), CAMERA, 0.0).angle
     assert np.abs(miss * half_px).max() < 3.0, "clutter is what cannot be told from a vertical edge"

@@ -27,7 +27,7 @@ def vertical_segments(camera, bearings_deg, heights=(-0.3, 0.2), sigma_px=0.3) -
     e = np.array(heights)[None, :]
     tilt = camera.mount.tilt_rad
     upright = np.stack(np.broadcast_arrays(tangent * (np.cos(tilt) + e * np.sin(tilt)), e), axis=-1)
-    return Segments.of_ends(camera.undistorted().pixels_from_upright(upright), sigma_px)
+    return Segments.of_ends(camera.ideal.pixels_from_upright(upright), sigma_px)
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 20.0, 45.0])

@@ -14,7 +14,6 @@ from edge_images import camera_of, supersampled_directions, wall_image
 from localiser.camera import Camera, Mount, RollingShutter
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.measure import Readout, readout_of
-from localiser.edges.views import ideal_camera
 from localiser.geometry import Array, Twist, arc_motion, compose
 
 SHUTTER = RollingShutter(30e-3 / 479, stamp_row=100.0)
@@ -49,7 +48,7 @@ def edges_on_the_floor() -> Array:
 
 
 def ideal_px(camera: Camera, pixels: Array) -> Array:
-    return ideal_camera(camera).pixels_from_image(camera.image_from_pixels(pixels))
+    return camera.ideal.pixels_from_image(camera.image_from_pixels(pixels))
 
 
 @pytest.mark.parametrize(
@@ -64,7 +63,7 @@ def test_points_are_brought_to_the_time_stamp(twist: Twist, mount: Mount) -> Non
     readout = readout_of(camera, twist)
     rate, sigma = readout.rates(taken)
     corrected = readout.at_stamp(taken, rate)
-    ideal = ideal_camera(camera)
+    ideal = camera.ideal
     before, after = (np.abs(ideal.lean_of_segments(px) - ideal.lean_of_segments(at_once)) for px in (taken, corrected))
     speed = np.hypot(twist.right_m_s, twist.backward_m_s)
     assert np.rad2deg(after.max()) < 0.02 + 0.06 * speed, "ranges change a little on the way"

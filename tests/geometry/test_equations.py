@@ -269,7 +269,6 @@ def test_without_tilt_lean_is_zero_and_says_nothing():
         lambda: g.bearing_from_lean(0.1, 0.0),
         lambda: slope_from_point(1.0, -1.0, 0.0),
         lambda: g.bearing_per_lean(0.1, 0.0),
-        lambda: g.bearing_per_tilt_from_lean(0.1, 0.0),
         lambda: rotation_from_slopes(1.0, 2.0, 0.0),
     ]
     for call in without_tilt:

@@ -8,8 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 
 from localiser import geometry as g
 from localiser.camera import Camera, Mount
@@ -17,7 +15,6 @@ from localiser.landmarks import (
     LandmarkMap,
     Reach,
     SightParameters,
-    bearing_jacobian,
     field_of_view_rad,
     half_view_rad,
     image_heights,
@@ -30,7 +27,6 @@ from localiser.landmarks import (
 )
 from localiser.landmarks.index import MOST_PIECES, PIECE_M
 
-COORDINATE = st.floats(-5, 5)
 MARGIN_NONE = SightParameters(range_max_m=8.0, range_min_m=0.3, length_min_px=20.0, margin_px=0.0)
 
 
@@ -154,38 +150,6 @@ def test_nothing_in_view_gives_no_pairs():
     landmark_map = LandmarkMap.from_points(np.array([[100.0, 100.0]]))
     found = sight(make_camera(), np.zeros((4, 3)), landmark_map)
     assert [len(column) for column in (found.pose, found.landmark, found.tangent, found.range_m)] == [0, 0, 0, 0]
-
-
-def bearing(pose: np.ndarray, point: np.ndarray, robot_from_camera: np.ndarray) -> np.ndarray:
-    """Bearing from the definition, complex-safe: x right and z backward in the camera's frame."""
-    x, z, heading = pose
-    right, back, yaw = robot_from_camera
-    camera_x = x + np.cos(heading) * right + np.sin(heading) * back
-    camera_z = z - np.sin(heading) * right + np.cos(heading) * back
-    dx, dz, turn = point[0] - camera_x, point[1] - camera_z, heading + yaw
-    in_x, in_z = np.cos(turn) * dx - np.sin(turn) * dz, np.sin(turn) * dx + np.cos(turn) * dz
-    return np.arctan(in_x / -in_z)
-
-
-@settings(max_examples=200)
-@given(
-    st.tuples(COORDINATE, COORDINATE, st.floats(-4, 4)),
-    st.tuples(COORDINATE, COORDINATE),
-    st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-3, 3)),
-)
-def test_bearing_jacobian_is_the_complex_step_derivative(
-    pose: tuple[float, ...], point: tuple[float, ...], mount: tuple[float, ...]
-) -> None:
-    camera = g.compose(np.array(pose), np.array(mount))
-    seen = g.robot_from_map(camera, np.array(point))
-    assume(np.hypot(*seen) > 0.1 and abs(seen[1]) > 0.01)
-    step = 1e-30
-    expected = [
-        bearing(np.array(pose) + 1j * step * axis, np.array(point), np.array(mount)).imag / step for axis in np.eye(3)
-    ]
-    np.testing.assert_allclose(
-        bearing_jacobian(np.array(pose), camera, np.array([point]))[0], expected, rtol=1e-9, atol=1e-9
-    )
 
 
 @pytest.mark.parametrize("roll_deg", [90.0, 180.0, -90.0])

@@ -326,7 +326,7 @@ def test_frustum_stands_where_the_camera_is() -> None:
     position, rotation = camera_pose(CAMERA, robot)
     right, up, backward = ((points - position) @ rotation).T
     pixels = np.stack([CAMERA.cx - CAMERA.fx * right / backward, CAMERA.cy + CAMERA.fy * up / backward], axis=-1)
-    np.testing.assert_allclose(pixels, CAMERA.undistorted().project(robot, points), atol=1e-9)
+    np.testing.assert_allclose(pixels, CAMERA.ideal.project(robot, points), atol=1e-9)
 
 
 def test_ellipse_lies_where_95_percent_are_inside() -> None:
@@ -338,7 +338,7 @@ def test_ellipse_lies_where_95_percent_are_inside() -> None:
     np.testing.assert_allclose(distance, CHI2_95_2D, rtol=1e-9)
 
 
-@pytest.mark.parametrize("camera", [CAMERA, CAMERA.undistorted()], ids=["lens", "pinhole"])
+@pytest.mark.parametrize("camera", [CAMERA, CAMERA.ideal], ids=["lens", "pinhole"])
 def test_predicted_lines_are_the_part_of_each_landmark_inside_the_image(camera: Camera) -> None:
     pose = np.array([0.1, -0.2, 0.05])
     view = Context("", camera, MAP)
@@ -355,7 +355,7 @@ def test_predicted_lines_are_the_part_of_each_landmark_inside_the_image(camera: 
         assert (np.diff(line[:, 1]) < 0).all()
 
 
-@pytest.mark.parametrize("camera", [CAMERA, CAMERA.undistorted()], ids=["lens", "pinhole"])
+@pytest.mark.parametrize("camera", [CAMERA, CAMERA.ideal], ids=["lens", "pinhole"])
 def test_predicted_lines_stop_at_the_border_that_they_cross_sideways(camera: Camera) -> None:
     bearing = np.deg2rad(np.linspace(-40.0, 40.0, 161))
     landmarks = LandmarkMap.from_points(np.stack([np.sin(bearing), -np.cos(bearing)], axis=-1))

@@ -62,7 +62,7 @@ def test_mount_of_any_chain_projects_points_as_the_transforms_do(
 ) -> None:
     """Points before the camera, in the robot's ROS frame, land on the same pixels by both ways."""
     rng = np.random.default_rng(seed)
-    camera = CAMERA.undistorted().with_mount(**dict(zip(Mount.__slots__, astuple(mount), strict=True)))
+    camera = CAMERA.ideal.with_mount(**dict(zip(Mount.__slots__, astuple(mount), strict=True)))
     whole = base_from_optical(camera.mount, camera.level_from_camera)
     tree = chain(whole, rng, links, backwards)
     found = camera.with_mount(**dict(zip(Mount.__slots__, astuple(mount_of(tree, "base", "optical")), strict=True)))
