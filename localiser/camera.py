@@ -96,14 +96,6 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @cached_property
-    def _centre_px(self) -> Array:
-        return np.array([self.cx, self.cy])
-
-    @cached_property
-    def _focal_px(self) -> Array:
-        return np.array([self.fx, self.fy])
-
-    @cached_property
     def focal_px(self) -> float:
         """One focal length for turning pixel errors into angles: √(fx fy)."""
         return float(np.sqrt(self.fx * self.fy))
@@ -169,7 +161,7 @@ class Camera:
         elif self.is_distorted:
             found = cv2.undistortPoints(flat, self.matrix, np.array(self.distortion), criteria=_UNDISTORT_UNTIL)
         else:
-            found = (flat - self._centre_px) / self._focal_px
+            found = (flat - self.matrix[:2, 2]) / self.matrix.diagonal()[:2]
         return np.asarray(found.reshape(pixels.shape) * _UPWARDS)
 
     def pixels_from_image(self, image_points: ArrayLike) -> Array:
@@ -184,7 +176,7 @@ class Camera:
             rays = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1)
             found, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), self.matrix, np.array(self.distortion))
         else:
-            found = flat * self._focal_px + self._centre_px
+            found = flat * self.matrix.diagonal()[:2] + self.matrix[:2, 2]
         return np.asarray(found.reshape(points.shape))
 
     @cached_property

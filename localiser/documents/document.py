@@ -154,13 +154,9 @@ is_name = BeforeValidator(lambda name: plain_name(name) if isinstance(name, str)
 """Said of a field of a file: `Annotated[str, is_name]`."""
 
 
-def _encodable_text(text: str) -> str:
-    return text if text.isascii() else text.encode(errors="backslashreplace").decode()
-
-
 def _encodable(value: Any) -> Any:
     if isinstance(value, str):
-        return _encodable_text(value)
+        return value if value.isascii() else value.encode(errors="backslashreplace").decode()
     if isinstance(value, dict):
         return {_encodable(key): _encodable(part) for key, part in value.items()}
     return [_encodable(part) for part in value] if isinstance(value, (list, tuple)) else value

@@ -26,7 +26,8 @@ def open_regular(path: Path, what: str = "file") -> Iterator[BinaryIO]:
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with open(descriptor, "rb") as file:  # noqa: PTH123 - of a descriptor
-            _require_regular(path, os.fstat(descriptor).st_mode)
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise InputError("expected a file, found a device or pipe", path=path)
             yield file
     except FileNotFoundError:
         raise InputError(f"no such {what}", path=path) from None
@@ -55,13 +56,6 @@ def text_of(path: Path | str) -> str:
     except UnicodeEncodeError:
         raise InputError("expected a name of UTF-8 text, found other bytes in it", path=text) from None
     return text
-
-
-def _require_regular(path: Path, mode: int) -> None:
-    if stat.S_ISDIR(mode):
-        raise InputError("expected a file, found a folder", path=path)
-    if not stat.S_ISREG(mode):
-        raise InputError("expected a file, found a device or pipe", path=path)
 
 
 def read_bytes(path: Path, max_bytes: int) -> bytes:

@@ -117,7 +117,7 @@ class Readout:
 
         The sigma is that of the unknown range alone; an error of the turn rate is the same for all.
         """
-        rays = self._rays(ends_px[:, 0])
+        rays = self.camera.ideal.level_rays(ends_px[:, 0])
         across, ahead = rays[:, 0], -rays[:, 2]
         bearing = np.arctan2(across, ahead)
         inverse = -rays[:, 1] / np.hypot(across, ahead) / self.camera.mount.height_m
@@ -160,12 +160,9 @@ class Readout:
         taken = self.camera.pixels_from_image(self.camera.ideal.image_from_pixels(ideal_px))
         return self.camera.shutter.since_stamp_s(taken[..., 1])
 
-    def _rays(self, ideal_px: Array) -> Array:
-        return self.camera.ideal.level_rays(ideal_px)
-
     def _turned(self, ideal_px: Array, bearing_rad: Array) -> Array:
         """Return undistorted points (..., 2) turned about the vertical, towards larger bearings by angles (...)."""
-        x, y, z = np.moveaxis(self._rays(ideal_px), -1, 0)
+        x, y, z = np.moveaxis(self.camera.ideal.level_rays(ideal_px), -1, 0)
         cos, sin = np.cos(bearing_rad), np.sin(bearing_rad)
         level = np.stack([cos * x - sin * z, y, sin * x + cos * z], axis=-1)
         right, up, backward = np.moveaxis(level @ self.camera.level_from_camera, -1, 0)

@@ -97,8 +97,10 @@ def between(start: ArrayLike, end: ArrayLike) -> Array:
         cos, sin, dx, dz = math.cos(heading), math.sin(heading), end_x - x, end_z - z
         turn = (end_heading - heading + math.pi) % (2 * math.pi) - math.pi
         return np.array([cos * dx - sin * dz, sin * dx + cos * dz, turn])
-    turn = wrap_angle(end[..., 2] - start[..., 2])
-    return np.concatenate([robot_from_map(start, end[..., :2]), turn[..., None]], axis=-1)
+    cos, sin = np.cos(start[..., 2]), np.sin(start[..., 2])
+    dx, dz, turn = np.moveaxis(end - start, -1, 0)
+    turn = (turn + np.pi) % (2 * np.pi) - np.pi
+    return np.stack([cos * dx - sin * dz, sin * dx + cos * dz, turn], axis=-1)
 
 
 def interpolate_pose(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> Array:

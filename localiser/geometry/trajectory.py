@@ -127,12 +127,8 @@ def twist_at(track: Trajectory, t_ns: int, span_s: tuple[float, float]) -> Twist
     if np.hypot(right, backward) > MOST_SPEED_M_S or abs(turn) > MOST_TURN_RAD_S:
         return UNKNOWN_TWIST
     step_ns = max(length_ns, known_ns - int(track.t_ns[last - 1]))
-    changed = turn - _turn_rate(track, max(begin_ns - step_ns, first_ns), begin_ns, turn)
+    before_ns, changed = max(begin_ns - step_ns, first_ns), 0.0
+    if before_ns < begin_ns:
+        turned = float(between(track.at(before_ns), track.at(begin_ns))[2])
+        changed = turn - turned * 1e9 / (begin_ns - before_ns)
     return Twist(float(right), float(backward), turn, float(np.hypot(WHEELS_SHARE * turn, changed / 2)))
-
-
-def _turn_rate(track: Trajectory, begin_ns: int, end_ns: int, otherwise: float) -> float:
-    """Return the mean turn rate between two times; `otherwise` where they are the same."""
-    if end_ns <= begin_ns:
-        return otherwise
-    return float(between(track.at(begin_ns), track.at(end_ns))[2]) * 1e9 / (end_ns - begin_ns)

@@ -85,12 +85,6 @@ class StepSpread:
     axes: Array
     variance: Array
 
-    @classmethod
-    def of(cls, particles: Particles, by_constant_error: Array, noise: Array) -> StepSpread:
-        """Return the spread of a step that depends on constant errors by H (3, B), with noise of covariance (3, 3)."""
-        variance, axes = np.linalg.eigh(by_constant_error @ particles.constant_error_cov @ by_constant_error.T + noise)
-        return cls(axes, variance)
-
     @property
     def root(self) -> Array:
         """S^½ (3, 3): a step is its mean plus this times three standard normal draws."""
@@ -101,16 +95,6 @@ class StepSpread:
         """S^(-½) (3, 3), 0 along directions in which nothing can happen."""
         floor = 1e-14 * self.variance[-1]
         return np.asarray(self.axes / np.sqrt(np.where(self.variance > floor, self.variance, np.inf)))
-
-
-def learnt(particles: Particles, by_constant_error: Array, spread: StepSpread, normal: Array) -> tuple[Array, Array]:
-    """Return the constant errors (B, N) of particles and their covariance (B, B) after what their steps told of them.
-
-    normal: (3, N) how each step was drawn, standardised: S^(-½) (step - H m), m being the particle's mean of the
-    constant errors and S = H P Hᵀ + noise. Both mean and P are updated by it as by a measurement.
-    """
-    gain = particles.constant_error_cov @ by_constant_error.T @ spread.whitened
-    return particles.columns[3:] + gain @ normal, particles.constant_error_cov - gain @ gain.T
 
 
 def projected(particles: Particles) -> Particles:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,7 +64,7 @@ def up_of(
 
 def _predicted(attitude: Array, p: Array, turn: Array, step_s: float, noise: InertialNoise) -> tuple[Array, Array]:
     """Return the attitude, level from sensor (3, 3), and the covariance (6, 6) after a turn (3,) about its axes."""
-    turning = _rotation(turn)
+    turning = cv2.Rodrigues(turn)[0]
     f = np.eye(6)
     f[:3, :3], f[:3, 3:] = turning.T, -step_s * np.eye(3)
     q = np.repeat([noise.rate_per_sqrt_s**2 * step_s, noise.bias_per_sqrt_s**2 * step_s], 3)
@@ -85,7 +86,7 @@ def _corrected(
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + variance * np.eye(3))
     change = gain @ (acceleration / length - up)
     p = (np.eye(6) - gain @ h) @ p
-    return attitude @ _rotation(change[:3]), bias + change[3:], (p + p.T) / 2
+    return attitude @ cv2.Rodrigues(change[:3])[0], bias + change[3:], (p + p.T) / 2
 
 
 def _first(acceleration: Array) -> Array:
@@ -99,12 +100,3 @@ def _first(acceleration: Array) -> Array:
 def _cross(v: Array) -> Array:
     """Return the matrix (3, 3) of the cross product with v (3,)."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def _rotation(turn: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a turn (3,), by Rodrigues' formula."""
-    angle = float(np.linalg.norm(turn))
-    if angle < 1e-12:
-        return np.eye(3)
-    k = _cross(turn / angle)
-    return np.asarray(np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k)

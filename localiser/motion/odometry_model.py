@@ -22,7 +22,6 @@ from localiser.motion.constant_errors import (
     StepSpread,
     at_start,
     forgotten,
-    learnt,
     projected,
     with_constant_errors,
 )
@@ -60,28 +59,34 @@ class MotionParameters:
         correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own
         covariance (vision) errs by a draw from that instead, and tells nothing of them.
         """
-        ahead_m, noise, effects = _step_of(increment, self)
+        ahead_m, _, noise, effects = _step_of(increment, self)
         none = np.zeros(3)
         effect = dict(zip(CONSTANT_ERRORS, effects, strict=True))
         by_constant_error = np.array([effect.get(name, none) for name in particles.names[3:]]).reshape(-1, 3).T
-        spread = StepSpread.of(particles, by_constant_error, noise)
+        cov = by_constant_error @ particles.constant_error_cov @ by_constant_error.T + noise
+        variance, axes = np.linalg.eigh(cov)
         start = particles.columns[:3].copy()
         if CAMERA_YAW in particles.names:
             start[2] += particles[CAMERA_YAW]  # of the camera, by which the constant errors are seen
         cos, sin = cos_sin(start[2] + direction_of_travel(increment))
         expected = by_constant_error @ particles.columns[3:]
         expected += np.array([[ahead_m], [0.0], [increment.mean[2]]])
-        return Step(start, cos, sin, expected, by_constant_error, spread)
+        return Step(start, cos, sin, expected, by_constant_error, StepSpread(axes, variance))
 
     def stepped(self, particles: Particles, step: Step, normal: Array, increment: Increment) -> Particles:
-        """Return the particles after steps drawn as `normal` (3, N), and what these told of the constant errors."""
+        """Return the particles after steps drawn as `normal` (3, N), and what these told of the constant errors.
+
+        normal is the step standardised: S^(-½) (step - H m), m being a particle's mean of the constant errors and
+        S = H P Hᵀ + noise. Both mean and covariance P of these are updated by it as by a measurement.
+        """
         columns = np.empty_like(particles.columns, order="C")
         compiled(step_loop)(step.start, step.cos, step.sin, step.expected, step.spread.root, normal, columns)
-        columns[3:], cov = learnt(particles, step.by_constant_error, step.spread, normal)
+        gain = particles.constant_error_cov @ step.by_constant_error.T @ step.spread.whitened
+        columns[3:] = particles.columns[3:] + gain @ normal
         if CAMERA_YAW in particles.names:
             columns[2] -= columns[particles.names.index(CAMERA_YAW)]
         columns[2] = wrap_angle(columns[2])
-        moved = replace(particles, columns=columns, constant_error_cov=cov)
+        moved = replace(particles, columns=columns, constant_error_cov=particles.constant_error_cov - gain @ gain.T)
         return forgotten(projected(moved) if step.by_constant_error.any() else moved, increment.path_m, self.bias)
 
     def covariance(self, increment: Increment) -> Array:
@@ -150,12 +155,12 @@ class Step:
 
 
 @lru_cache(maxsize=64)  # of one motion asked for several times in a step
-def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float, Array, Array]:
-    """Return the length of a step, the covariance (3, 3) of its noise, and its derivatives (5, 3) by constant errors.
+def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float, Array, Array, Array]:
+    """Return length, rotation (3, 3) from the robot frame, noise (3, 3) and derivatives (5, 3) of a step.
 
     A step is (along the way m, to its left m, turn rad), along the chord of the motion, negative when backward. Half of
-    the turn comes before the translation, which the camera's own yaw turns the other way. An increment that wheels
-    alone did not measure tells nothing of `CONSTANT_ERRORS`.
+    the turn comes before the translation, which the camera's own yaw turns the other way. Derivatives are by
+    `CONSTANT_ERRORS`, of which an increment that wheels alone did not measure tells nothing.
     """
     from_robot, turn = _map_from_step(0.0, increment).T, float(increment.mean[2])
     ahead_m = float(increment.mean[:2] @ from_robot[0, :2])
@@ -164,7 +169,7 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
     noise[1, 2] = noise[2, 1] = ahead_m * turn_var / 2
     if increment.cov.any():
         noise = np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
-        return ahead_m, noise, np.zeros((len(CONSTANT_ERRORS), 3))
+        return ahead_m, from_robot, noise, np.zeros((len(CONSTANT_ERRORS), 3))
     effects = {
         "distance_scale": (ahead_m, 0.0, 0.0),
         "turn_scale": (0.0, ahead_m * turn / 2, turn),
@@ -172,7 +177,7 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
         "delay": from_robot @ increment.by_delay,
         CAMERA_YAW: (0.0, -ahead_m, 0.0),
     }
-    return ahead_m, noise, np.array([effects[name] for name in CONSTANT_ERRORS])
+    return ahead_m, from_robot, noise, np.array([effects[name] for name in CONSTANT_ERRORS])
 
 
 def linearised(pose: Array, increment: Increment, parameters: MotionParameters) -> tuple[Array, Array]:
@@ -185,17 +190,16 @@ def linearised(pose: Array, increment: Increment, parameters: MotionParameters) 
     jac_pose = np.eye(3)
     jac_pose[:2, 2] = [-sin * right + cos * backward, -cos * right - sin * backward]
     to_map = _map_from_step(float(pose[2]), increment)
-    return jac_pose, np.asarray(to_map @ _step_of(increment, parameters)[1] @ to_map.T)
+    return jac_pose, np.asarray(to_map @ _step_of(increment, parameters)[2] @ to_map.T)
 
 
 @lru_cache(maxsize=64)
 def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
     """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
-    to_robot = _map_from_step(0.0, increment)
-    _, noise, effects = _step_of(increment, parameters)
+    _, from_robot, noise, effects = _step_of(increment, parameters)
     by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
     doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
-    return np.asarray(to_robot @ (noise + doubt) @ to_robot.T)
+    return np.asarray(from_robot.T @ (noise + doubt) @ from_robot)
 
 
 def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
@@ -280,4 +284,5 @@ class LinearisedMotion(MotionModel, Protocol):
 
 def covariance_of(model: MotionModel, increment: Increment) -> Array:
     """Return the covariance (3, 3) of a motion as the model has it, else as the increment states it."""
-    return model.covariance(increment) if isinstance(model, LinearisedMotion) else increment.cov
+    covariance = getattr(model, "covariance", None)  # faster than to ask for the whole protocol
+    return increment.cov if covariance is None else np.asarray(covariance(increment))

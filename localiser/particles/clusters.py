@@ -71,7 +71,7 @@ def find_clusters(
         raise ValueError(f"weights sum to {total}")
     share = np.asarray(weight, dtype=np.float64) / total
     cells, cell_of_pose, around = _cells(poses, cell_m, cell_rad)
-    dense = _densest(_sums(cell_of_pose, share), mass)
+    dense = _densest(np.bincount(cell_of_pose, share), mass)
     part = np.full(len(cells), -1)
     part[dense] = _connected(cells[dense], around)
     return _summarised(np.asarray(poses, dtype=np.float64), share, part[cell_of_pose])
@@ -133,11 +133,6 @@ def _connected(cells: Indices, around: int) -> Indices:
     neighbour, touches = np.nonzero(key[found] == wanted)
     links = csr_array((np.ones(len(touches)), (touches, found[neighbour, touches])), (len(cells), len(cells)))
     return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
-
-
-def _sums(index: Indices, value: Array) -> Array:
-    """Return the sum of values (N,) over each index (N,)."""
-    return np.asarray(np.bincount(index, value), dtype=np.float64)
 
 
 def _summarised(poses: Array, share: Array, part: Indices) -> Clusters:
