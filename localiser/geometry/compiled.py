@@ -76,7 +76,8 @@ def _kept(function: Callable[..., Any], is_entry: bool) -> Any:
 def _with_numba(function: Callable[..., Any], **rules: Any) -> Any:
     from numba import njit
 
-    return njit(**rules, no_cfunc_wrapper=True)(function)  # no C code calls it
+    rules["no_cfunc_wrapper"] = True  # no C code calls it
+    return njit(**rules)(function)
 
 
 # -- where machine code is kept ---------------------------------------------------------------------------------------

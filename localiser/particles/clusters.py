@@ -71,7 +71,7 @@ def find_clusters(
         raise ValueError(f"weights sum to {total}")
     share = np.asarray(weight, dtype=np.float64) / total
     cells, cell_of_pose, around = _cells(poses, cell_m, cell_rad)
-    dense = _densest(np.bincount(cell_of_pose, share), mass)
+    dense = _densest(np.asarray(np.bincount(cell_of_pose, share), dtype=np.float64), mass)
     part = np.full(len(cells), -1)
     part[dense] = _connected(cells[dense], around)
     return _summarised(np.asarray(poses, dtype=np.float64), share, part[cell_of_pose])
