@@ -58,7 +58,7 @@ def _landmarks(landmark_map: LandmarkMap, sigma_m: float) -> Array:
             landmark_map.points,
             np.nan_to_num(landmark_map.bottom_m, nan=-UNKNOWN),
             np.nan_to_num(landmark_map.top_m, nan=UNKNOWN),
-            sigmas_m(landmark_map, sigma_m),
+            landmark_map.sigma_m(sigma_m),
             np.asarray(MEAN_POLARITY * landmark_map.polarity, dtype=np.float64),
         ]
         return np.column_stack(columns)
