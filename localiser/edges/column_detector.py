@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_field, linked, peaks_of
-from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, cells_of, refined, rough_lines, sampled
+from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, refined, rough_lines
 from localiser.edges.types import Segments
 from localiser.edges.views import ROWS_PER_BLOCK, Image, column_view, half_camera, halved
 from localiser.geometry import Array
@@ -36,35 +36,30 @@ class Columns:
 
     def __call__(self, image: Image, camera: Camera, /) -> Segments:
         """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""
-        return _found(image, camera, self.min_contrast)
-
-
-def _found(image: Image, camera: Camera, min_contrast: float) -> Segments:
-    field = gradient_field(image, camera)
-    peaks = peaks_of(field)
-    rough = rough_lines(peaks, linked(peaks, field.fine.shape))
-    cells = cells_of(rough, field)
-    fitted = refined(rough, cells, field)
-    kept, top, bottom = _significant(fitted, cells, field, min_contrast)
-    if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
-        # There a blurred edge is a sharp one.
-        found = _found(halved(image), half_camera(camera), min_contrast)
-        sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px
-        return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
-    fit, view = fitted.fit.take(kept), column_view(camera)
-    reach = np.sqrt(fit.spread / fit.weight)
-    points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
-    column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
-    upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
-    ideal_px = camera.ideal.pixels_from_upright(upright)
-    to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
-    return Segments(
-        ends_px=ideal_px[:, :2],
-        support_px=ideal_px[:, 2:],
-        sigma_px=to_px * np.sqrt(2 / fit.weight),
-        shift_sigma_px=to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept]),
-        polarity=rough.polarity[kept],
-    )
+        field = gradient_field(image, camera)
+        peaks = peaks_of(field)
+        rough, cells = rough_lines(peaks, linked(peaks, field.fine.shape), len(field.fine))
+        fitted = refined(rough, cells, field)
+        kept, top, bottom = _significant(fitted, cells, field, self.min_contrast)
+        if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
+            # There a blurred edge is a sharp one.
+            found = self(halved(image), half_camera(camera))
+            sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px
+            return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
+        fit, view = fitted.fit.take(kept), column_view(camera)
+        reach = np.sqrt(fit.spread / fit.weight)
+        points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
+        column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
+        upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
+        ideal_px = camera.ideal.pixels_from_upright(upright)
+        to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
+        return Segments(
+            ends_px=ideal_px[:, :2],
+            support_px=ideal_px[:, 2:],
+            sigma_px=to_px * np.sqrt(2 / fit.weight),
+            shift_sigma_px=to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept]),
+            polarity=cells.polarity[kept],
+        )
 
 
 def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: GradientField) -> bool:
@@ -73,7 +68,7 @@ def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: Gr
     A sharp step is half as steep there. One so wide shows two peaks at the fine scale, at either end of its slope.
     """
     groups = cells.groups
-    at_coarse = sampled(field.coarse, cells, fitted.fit.at(groups.of, cells.row))[0]
+    at_coarse = cells.sampled(field.coarse, fitted.fit.at(groups.of, cells.row))[0]
     coarse, fine = (cells.mean(height)[kept] for height in (at_coarse, fitted.height))
     return len(kept) > 0 and float(np.median(coarse / fine)) > _BLURRED_STEEPNESS
 

@@ -68,7 +68,9 @@ def find_edges(
     code = np.full(len(taken), -1)
     if parameters.markers:
         lines, codes = sides_of_markers(grey, parameters.markers)
-        sides, code = _sides(lines, grey, camera), np.concatenate([code, codes])
+        sides, code = _segments_of_lines(lines.reshape(-1, 4), camera), np.concatenate([code, codes])
+        polarity = polarity_of_profiles(profiles(sides.ends_px, grey, camera))
+        sides = replace(sides, sigma_px=np.full(len(sides), MARKER_SIGMA_PX), polarity=polarity)
         taken = Segments(
             *(np.concatenate([getattr(one, each.name) for one in (taken, sides)]) for each in fields(taken))
         )
@@ -77,7 +79,7 @@ def find_edges(
         rate, rate_sigma = readout.rates(taken.ends_px)
         ends_px, support_px = (readout.at_stamp(points, rate) for points in (taken.ends_px, taken.support_px))
         segments = replace(taken, ends_px=ends_px, support_px=support_px)
-        turn_sigma_rad = np.abs(readout.turn_of(support_px, rate)) * np.hypot(rate_sigma, readout.turn_sigma_rad_s)
+        turn_sigma_rad = np.abs(readout.per_turn(support_px, rate)[0]) * np.hypot(rate_sigma, readout.turn_sigma_rad_s)
     stated, usual = camera.mount.sigma or MountSigma(), parameters.mount_sigma_rad.tolist()
     sigmas = zip((stated.tilt_rad, stated.roll_rad), usual, strict=True)
     mount_sigma_rad = np.array([otherwise if sigma is None else sigma for sigma, otherwise in sigmas])
@@ -96,14 +98,6 @@ def find_edges(
     edges = edges.take(is_sure | (edges.landmark_id < -1))
     rejected = camera.ideal.image_from_pixels(others.ends_px)
     return replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
-
-
-def _sides(lines: Array, grey: Image, camera: Camera) -> Segments:
-    """Return the upright sides (S, 2, 2) of markers as segments."""
-    segments = _segments_of_lines(lines.reshape(-1, 4), camera)
-    polarity = polarity_of_profiles(profiles(segments.ends_px, grey, camera))
-    error = np.full(len(lines), MARKER_SIGMA_PX)
-    return replace(segments, sigma_px=error, polarity=polarity)
 
 
 def _detector_of(parameters: EdgeParameters) -> Detector:

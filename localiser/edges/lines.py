@@ -99,31 +99,25 @@ _COARSE_CURVATURE_SIGMA = float(np.linalg.norm(np.convolve(np.convolve(_KERNEL, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines:
-    """Lines, G of them, with the first and last block (G,) of their chain and polarity (G,)."""
-
-    fit: LineFit
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
-    polarity: NDArray[np.int8]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Cells:
     """All blocks that lines cross, K of them, from two above the chain's first to two below its last.
 
-    in_chain: (K,) whether between those two. blocks: (G,) how many of each line are.
+    in_chain: (K,) whether between those two. blocks: (G,) how many of each line are. polarity: (G,) of the lines.
     """
 
     groups: Groups
     row: NDArray[np.int64]
-    polarity: NDArray[np.int8]
     in_chain: NDArray[np.bool_]
     blocks: Array
+    polarity: NDArray[np.int8]
 
     def mean(self, values: Array) -> Array:
         """Return the mean (G,) of values (K,) over the blocks of each chain."""
         return self.groups.sum(values * self.in_chain) / self.blocks
+
+    def sampled(self, values: NDArray[np.float32], column: Array) -> tuple[Array, Array, Array]:
+        """Return a field's height, steepness and negative curvature along its row at columns (K,), as at a peak."""
+        return compiled(samples_loop)(values, self.row, column, self.polarity[self.groups.of])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,8 +141,8 @@ class Fitted:
     contrast: Array
 
 
-def rough_lines(peaks: Peaks, chain: NDArray[np.int64]) -> Lines:
-    """Return robust lines through the peaks of each chain that is long enough."""
+def rough_lines(peaks: Peaks, chain: NDArray[np.int64], rows: int) -> tuple[LineFit, Cells]:
+    """Return robust lines through the peaks of each chain that is long enough, and which of the blocks they cross."""
     groups = Groups(chain, int(chain.max(initial=-1)) + 1)
     weight = np.ones(len(chain))
     for _ in range(3):
@@ -158,24 +152,13 @@ def rough_lines(peaks: Peaks, chain: NDArray[np.int64]) -> Lines:
     polarity = np.zeros(groups.count, dtype=np.int8)
     polarity[chain] = peaks.polarity
     long = np.flatnonzero(last - first >= LEAST_BLOCKS - 1)
-    return Lines(fit.take(long), first[long], last[long], polarity[long])
-
-
-def cells_of(lines: Lines, field: GradientField) -> Cells:
-    """Return the blocks that lines cross."""
-    top = np.maximum(lines.first - _MARGIN_BLOCKS, 0)
-    bottom = np.minimum(lines.last + _MARGIN_BLOCKS, field.fine.shape[0] - 1)
-    size = bottom - top + 1
+    first, last = first[long], last[long]
+    top = np.maximum(first - _MARGIN_BLOCKS, 0)
+    size = np.minimum(last + _MARGIN_BLOCKS, rows - 1) - top + 1
     line = np.repeat(np.arange(len(size)), size)
     row = np.arange(len(line)) - (np.cumsum(size) - size - top)[line]
-    in_chain = (row >= lines.first[line]) & (row <= lines.last[line])
-    blocks = (lines.last - lines.first + 1).astype(np.float64)
-    return Cells(Groups(line, len(size)), row, lines.polarity[line], in_chain, blocks)
-
-
-def sampled(values: NDArray[np.float32], cells: Cells, column: Array) -> tuple[Array, Array, Array]:
-    """Return a field's height, steepness and negative curvature along its row (K,) at cells, positive at the peak."""
-    return compiled(samples_loop)(values, cells.row, column, cells.polarity)
+    in_chain, blocks = (row >= first[line]) & (row <= last[line]), (last - first + 1).astype(np.float64)
+    return fit.take(long), Cells(Groups(line, len(size)), row, in_chain, blocks, polarity[long])
 
 
 def _steady(curvature: Array, noise: float, cells: Cells) -> Array:
@@ -187,18 +170,18 @@ def _steady(curvature: Array, noise: float, cells: Cells) -> Array:
     return np.maximum(mean[line] + real[line] * (curvature - mean[line]), 0.05 * noise)
 
 
-def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
+def refined(fit: LineFit, cells: Cells, field: GradientField) -> Fitted:
     """Return the lines that the gradient's peaks lie on, by Gauss-Newton steps with Tukey's weights.
 
     At a peak the steepness is 0; near it, it tells how far off the peak is: steepness / curvature.
     """
     groups, line = cells.groups, cells.groups.of
-    fit, robust = lines.fit, cells.in_chain.astype(np.float64)
-    curvature = _steady(sampled(field.smooth, cells, fit.at(line, cells.row))[2], _CURVATURE_SIGMA, cells)
+    robust = cells.in_chain.astype(np.float64)
+    curvature = _steady(cells.sampled(field.smooth, fit.at(line, cells.row))[2], _CURVATURE_SIGMA, cells)
     weight = (curvature / _STEEPNESS_SIGMA) ** 2
     for _ in range(2):
         column = fit.at(line, cells.row)
-        height, steepness, _ = sampled(field.fine, cells, column)
+        height, steepness, _ = cells.sampled(field.fine, column)
         target = column + (steepness / curvature).clip(-2, 2)
         fit = groups.line(cells.row, target, weight * robust)
         residual = target - fit.at(line, cells.row)
@@ -209,7 +192,9 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
         _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups), _coarse_fit(fit, inlier, cells, field)
     )
     place = fit.at(line, cells.row)
-    clipped = _clipped(place, cells, field)
+    # In which fraction of the line's blocks the lighter side is at the camera's maximum.
+    beside = np.rint(place + _BESIDE_PX * cells.polarity[line]).astype(np.int64).clip(0, field.grey.shape[1] - 1)
+    clipped = cells.mean((field.grey[cells.row, beside] > _WHITE_GREY).astype(np.float64))
     return Fitted(
         fit=fit,
         height=height,
@@ -222,20 +207,10 @@ def refined(lines: Lines, cells: Cells, field: GradientField) -> Fitted:
     )
 
 
-def _clipped(place: Array, cells: Cells, field: GradientField) -> Array:
-    """Return the fraction (G,) of each line's blocks in which the lighter side is at the camera's maximum.
-
-    place: (K,) column of the line at each of its blocks.
-    """
-    beside = np.rint(place + _BESIDE_PX * cells.polarity).astype(np.int64)
-    white = field.grey[cells.row, beside.clip(0, field.grey.shape[1] - 1)] > _WHITE_GREY
-    return cells.mean(white.astype(np.float64))
-
-
 def _coarse_fit(fit: LineFit, inlier: Array, cells: Cells, field: GradientField) -> LineFit:
     """Return the lines as they are seen at twice the scale."""
     groups, column = cells.groups, fit.at(cells.groups.of, cells.row)
-    _, steepness, curvature = sampled(field.coarse, cells, column)
+    _, steepness, curvature = cells.sampled(field.coarse, column)
     curvature = _steady(curvature, _COARSE_CURVATURE_SIGMA, cells)
     target = column + (steepness / curvature).clip(-3, 3)
     weight = (curvature / _COARSE_STEEPNESS_SIGMA) ** 2

@@ -137,22 +137,16 @@ class Readout:
             taken = self._turned(stamp_px, _along(rate, stamp_px) * self._since_stamp_s(taken))
         return taken
 
-    def moved(self, stamp_px: Array, rate: Array) -> Array:
-        """Return where points (S, 2, 2) would be by a turn rate that is larger by `_STEP_RAD_S`."""
-        since_s = self._since_stamp_s(self.as_taken(stamp_px, rate))
-        return self._turned(stamp_px, -_STEP_RAD_S * since_s)
+    def per_turn(self, ends_px: Array, rate: Array) -> tuple[Array, Array]:
+        """Return d(lean) and d(bearing) (S,) by the turn rate, s, of segments with ends (S, 2, 2) at the time stamp.
 
-    def turn_of(self, ends_px: Array, rate: Array) -> Array:
-        """Return d(lean)/d(turn rate) (S,), s, of segments with ends (S, 2, 2) at the time stamp."""
+        The lean is that of the free line, the bearing that of the line through the nadir point.
+        """
+        moved = self._turned(ends_px, -_STEP_RAD_S * self._since_stamp_s(self.as_taken(ends_px, rate)))
         ideal = self.camera.ideal
-        change = ideal.lean_of_segments(self.moved(ends_px, rate)) - ideal.lean_of_segments(ends_px)
-        return np.asarray(geometry.wrap_half_turn(change) / _STEP_RAD_S)
-
-    def shift_of(self, ends_px: Array, rate: Array) -> Array:
-        """Return d(bearing)/d(turn rate) (S,), s, of lines through the nadir point, as `turn_of`."""
-        ideal = self.camera.ideal
-        change = ideal.bearing_of_segments(self.moved(ends_px, rate)) - ideal.bearing_of_segments(ends_px)
-        return np.asarray(change / _STEP_RAD_S)
+        turned = geometry.wrap_half_turn(ideal.lean_of_segments(moved) - ideal.lean_of_segments(ends_px))
+        shifted = ideal.bearing_of_segments(moved) - ideal.bearing_of_segments(ends_px)
+        return turned / _STEP_RAD_S, shifted / _STEP_RAD_S
 
     def _since_stamp_s(self, ideal_px: Array) -> Array:
         """Return when the rows of undistorted points (..., 2) are taken, after the time stamp."""
@@ -298,7 +292,7 @@ def _with_turn(edges: Edges, ends_px: Array, readout: Readout) -> Edges:
     ends_px: (E, 2, 2) undistorted.
     """
     rate, rate_sigma = readout.rates(ends_px)
-    turned, shifted = readout.turn_of(ends_px, rate), readout.shift_of(ends_px, rate)
+    turned, shifted = readout.per_turn(ends_px, rate)
     common, tilt_rad = edges.common, readout.camera.mount.tilt_rad
     per_lean = geometry.bearing_per_lean(edges.bearing, tilt_rad) if abs(np.sin(tilt_rad)) > 1e-12 else np.nan
     cov = np.zeros((len(common.names) + 1, len(common.names) + 1))

@@ -77,14 +77,12 @@ class Reach:
 
 def reach_of(landmark_map: LandmarkMap, range_m: float) -> Reach:
     """Return which landmarks a camera may see that sees so far, from every piece of the floor."""
-    if not len(landmark_map):
-        return Reach.everything(0)
-
-    def make() -> Reach:
-        return Reach.of(landmark_map.points, range_m + _MARGIN_M)
-
-    found: Reach = kept_with(landmark_map, ("reach", range_m), make)
-    return found
+    points = landmark_map.points
+    return kept_with(
+        landmark_map,
+        ("reach", range_m),
+        lambda: Reach.of(points, range_m + _MARGIN_M) if len(points) else Reach.everything(0),
+    )
 
 
 # -- by cell of floor and heading -------------------------------------------------------------------------------------

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 
+Kept = TypeVar("Kept")
 FRAME = {"axes": "x right, y up, z backward", "units": "m"}
 
 
@@ -126,7 +128,7 @@ class LandmarkMap:
             trace = np.trace(self.cov, axis1=1, axis2=2)
             return np.where(np.isnan(trace), unknown_m, np.sqrt(np.maximum(trace, 0.0) / 2))
 
-        return np.asarray(kept_with(self, ("sigma_m", unknown_m), make))
+        return kept_with(self, ("sigma_m", unknown_m), make)
 
     def take(self, index: NDArray[np.int64]) -> LandmarkMap:
         """Return the map of the landmarks at `index` (K,), in that order."""
@@ -147,9 +149,10 @@ class LandmarkMap:
 _OF_MAPS: WeakKeyDictionary[LandmarkMap, dict[tuple[Any, ...], Any]] = WeakKeyDictionary()
 
 
-def kept_with(landmark_map: LandmarkMap, key: tuple[Any, ...], make: Any) -> Any:
+def kept_with(landmark_map: LandmarkMap, key: tuple[Any, ...], make: Callable[[], Kept]) -> Kept:
     """Return what `make()` returns, made once for a map and a key, and kept as long as the map is."""
     kept = _OF_MAPS.setdefault(landmark_map, {})
     if key not in kept:
         kept[key] = make()
-    return kept[key]
+    found: Kept = kept[key]
+    return found

@@ -82,11 +82,11 @@ def test_derivatives_by_the_turn_rate_are_differences() -> None:
     one, other = (readout.at_stamp(taken, readout.rates(taken)[0]) for readout in (low, high))
     rate = low.rates(taken)[0]
     np.testing.assert_allclose(
-        (camera.lean_of_segments(other) - camera.lean_of_segments(one)) / 0.02, low.turn_of(one, rate), rtol=0.02
+        (camera.lean_of_segments(other) - camera.lean_of_segments(one)) / 0.02, low.per_turn(one, rate)[0], rtol=0.02
     )
     np.testing.assert_allclose(
         (camera.bearing_of_segments(other) - camera.bearing_of_segments(one)) / 0.02,
-        low.shift_of(one, rate),
+        low.per_turn(one, rate)[1],
         rtol=0.02,
         atol=1e-5,
     )
