@@ -151,6 +151,7 @@ class Located:
     at, else "".
     wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
     odometry_jumped: whether odometry began anew since the last image, so that the motion was bridged.
+    took_over: whether another place is tracked since this image, so that the pose jumped there.
     """
 
     t_ns: int
@@ -171,3 +172,4 @@ class Located:
     warning: MapWarning = ""
     wheels_are_wrong: bool = False
     odometry_jumped: bool = False
+    took_over: bool = False

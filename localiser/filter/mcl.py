@@ -205,9 +205,9 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         state.inliers = found.inliers
     state.scene, state.attitude = image.scene, image.attitude
     # Compare: is the robot at another place, or not on this map at all?
-    weighed = _compared(mcl, state, found, image, rng)
+    weighed, took_over = _compared(mcl, state, found, image, rng)
     # Estimate: before resampling, which only adds noise. Which landmark does each edge show from there?
-    located, association = _located(mcl, state, weighed, measured, image)
+    located, association = _located(mcl, state, weighed, measured, image, took_over)
     # Learn: which edges are clutter, which landmarks are seen, how far do edges, the camera's height and the map err?
     clutter = _clutter(mcl, state, weighed, located)
     if weighed is not None and mcl.search is not None:
@@ -358,11 +358,14 @@ def _contradicted(
 
 def _compared(
     mcl: Mcl, state: FilterState, found: Weighed | None, image: _Image, rng: np.random.Generator
-) -> Particles | None:
-    """Return the particles that are tracked from now on; None while there are candidates only."""
+) -> tuple[Particles | None, bool]:
+    """Return the particles that are tracked from now on, and whether they took the place of others.
+
+    None while there are candidates only.
+    """
     weighed = None if found is None else found.particles
     if mcl.search is None:
-        return weighed
+        return weighed, False
     move = Move(image.drive.increment, mcl.motion, lambda cloud: mcl.moved(cloud, image.drive.moves, rng))
     like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
     belief = state.belief.after(mcl.search, found, like, image.sighting, image.jump, move, rng)
@@ -376,7 +379,7 @@ def _compared(
     elif weighed is not None and belief.here < RELEASED:
         belief, weighed = belief.released(weighed), None
     state.belief = belief
-    return weighed
+    return weighed, other is not None and found is not None
 
 
 def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Particles:
@@ -388,7 +391,7 @@ def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Pa
 
 
 def _located(
-    mcl: Mcl, state: FilterState, weighed: Particles | None, measured: Sighting, image: _Image
+    mcl: Mcl, state: FilterState, weighed: Particles | None, measured: Sighting, image: _Image, took_over: bool
 ) -> tuple[Located, Association | None]:
     """Return what is known of the robot, and how the edges compare with the landmarks that it sees."""
     belief, association = state.belief, None
@@ -409,6 +412,7 @@ def _located(
         warning=belief.warning,
         wheels_are_wrong=state.wheels.are_wrong,
         odometry_jumped=image.drive.jumped,
+        took_over=took_over,
         clusters=clusters,
         attitude=state.attitude,
         height=state.height,

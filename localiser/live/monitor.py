@@ -108,6 +108,10 @@ class Monitor:
             self.inform(f"sure of the pose: x = {x:.2f} m, z = {z:.2f} m, heading = {np.degrees(heading):.1f}°{on}")
         if located.warning:
             self.warn("map", located.warning)
+        if self.newest is not None and self.newest.is_found and not frame.is_found:
+            self.warn("lost", f"the robot may be at another place ({located.reason}): the pose may jump there")
+        if located.took_over:
+            self.warn("takeover", "another place fits better: the pose jumped there")
         if located.odometry_jumped:
             self.warn("jump", "the odometry jumped: did the base restart? The robot is taken to have gone on as before")
         if located.wheels_are_wrong and self.newest is not None:

@@ -40,15 +40,16 @@ WRONG_IMAGES = 3  # in which the wheels contradict the images, from which on tha
 class Summary:
     """What is wanted of all T images of a run at once.
 
-    track: of poses in the frame of all maps. warnings, reasons, wheels_are_wrong, edges_known: (T,) as the filter had
-    them, and whether an edge's landmark was known. landmark_use: (L, 2) in how many images each landmark of the map was
-    in view, and in how many matched.
+    track: of poses in the frame of all maps. warnings, reasons, wheels_are_wrong, took_over, edges_known: (T,) as the
+    filter had them, and whether an edge's landmark was known. landmark_use: (L, 2) in how many images each landmark of
+    the map was in view, and in how many matched.
     """
 
     track: Track
     warnings: list[str]
     reasons: list[str]
     wheels_are_wrong: NDArray[np.bool_]
+    took_over: NDArray[np.bool_]
     edges_known: NDArray[np.bool_]
     landmark_use: Array
 
@@ -56,7 +57,7 @@ class Summary:
     def of(cls, frames: Sequence[LocatedFrame], landmark_map: LandmarkMap) -> Summary:
         """Return the summary of images, which are gone through once. landmark_map: of L landmarks."""
         count, use = len(frames), np.zeros((len(landmark_map), 2))
-        t_ns, known, wrong, found = np.empty(count, np.int64), *np.empty((3, count), bool)
+        t_ns, known, wrong, found, took_over = np.empty(count, np.int64), *np.empty((4, count), bool)
         poses, covs, odometry = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3))
         numbers, residuals = np.empty((count, 3)), np.empty((count, 3))
         warnings, reasons = [], []
@@ -66,7 +67,7 @@ class Summary:
             use[np.unique(landmark[landmark >= 0]), 1] += 1
             t_ns[i], covs[i] = located.t_ns, frame.pose_cov
             poses[i] = located.estimate.pose + landmark_map.origin(frame.map_name)
-            found[i] = frame.is_found
+            found[i], took_over[i] = frame.is_found, located.took_over
             odometry[i], residuals[i] = located.odometry, evaluate.residual_sums(frame.matches)
             numbers[i] = len(located.edges), (landmark >= 0).sum(), located.p_correct
             known[i], wrong[i] = (located.edges.landmark_id >= 0).any(), located.wheels_are_wrong
@@ -74,7 +75,7 @@ class Summary:
             reasons.append(sys.intern(located.reason))
         edges, matched, p_correct = numbers.T.copy()
         track = Track(t_ns, poses, covs, odometry, edges, matched, p_correct, residuals, found)
-        return cls(track, warnings, reasons, wrong, known, use)
+        return cls(track, warnings, reasons, wrong, took_over, known, use)
 
     @property
     def sighted(self) -> NDArray[np.bool_] | None:
@@ -181,6 +182,11 @@ def _filter_warnings(run: Results) -> list[str]:
         texts.append(
             f"{warnings[told[0]].capitalize()}: the images show other edges than it has, in {len(told)} of "
             f"{len(warnings)} images, for the first time after {seconds[told[0]]:.1f} s. Is it of this building?"
+        )
+    if (jumped := run.summary.took_over).any():
+        texts.append(
+            f"Another place fitted better than the one that was believed {jumped.sum()}×, for the first time after "
+            f"{seconds[jumped][0]:.1f} s: the pose jumped there."
         )
     wrong = run.summary.wheels_are_wrong
     if wrong.sum() >= WRONG_IMAGES:

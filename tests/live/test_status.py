@@ -143,6 +143,22 @@ def test_wheels_that_contradict_the_edges_are_told_with_both_motions() -> None:
     feed.close()
 
 
+def test_it_is_told_that_the_pose_may_jump_and_that_it_jumped() -> None:
+    feed = Feed()
+    feed([*camera(), *drive(2)])
+    monitor, said = feed.run.outputs.monitor, len(feed.said)
+    sure = monitor.newest
+    lost = replace(sure, located=replace(sure.located, reason="several places fit"), wide_cov=np.eye(3))
+    there = replace(sure, located=replace(sure.located, took_over=True))
+    for frame in (lost, lost, there):
+        monitor.located(frame, 1.0, 1.0, None)
+    assert feed.said[said:] == [
+        "the robot may be at another place (several places fit): the pose may jump there",
+        "another place fits better: the pose jumped there",
+    ]
+    feed.close()
+
+
 def test_the_way_back_is_the_way_there_mirrored() -> None:
     passage = Passage.of(LOG)
     there, back = list(passage.messages(there=True)), list(passage.messages(there=False))

@@ -94,6 +94,8 @@ def test_a_robot_that_is_carried_away_is_found_again(seed: int) -> None:
     right = is_right(found, driven.truth)
     sure = np.array([one.p_correct > 0.9 for one in found])
     assert right[:15].all() and right[20:].all() and sure[-1]
+    jumps = np.flatnonzero([one.took_over for one in found])
+    assert len(jumps) and (jumps >= 15).all() and right[jumps[-1]]
     assert (sure & ~right).sum() <= 3
 
 
@@ -102,6 +104,7 @@ def test_a_wrong_start_is_noticed() -> None:
     start = Start(0, np.array([-2.0, -1.5, 2.0]), np.diag([0.1, 0.1, 0.05]) ** 2)
     found = located([start, *driven.events])
     assert is_right(found, driven.truth)[-5:].all()
+    assert any(one.took_over for one in found)
 
 
 def test_a_search_changes_nothing_while_the_robot_is_where_it_is_believed() -> None:

@@ -159,6 +159,9 @@ def test_start_can_be_given(localiser: Localiser, log: Path, tmp_path: Path) -> 
     far = localiser.replay(log, tmp_path / "out", "--start", "-0.5,-5,-90", "--set", "search.doubt=0.9999")
     assert "heading_deg: -90" in (far / "run.yaml").read_text()
 
+    wrong = localiser.replay(log, tmp_path / "out", "--start", "0.5,-2,40", few=False)
+    assert any("the pose jumped there" in text for text in json.loads((wrong / "metrics.json").read_text())["warnings"])
+
 
 def test_log_without_a_start_is_looked_for_on_the_whole_map(localiser: Localiser, log: Path, tmp_path: Path) -> None:
     asked = localiser.replay(log, tmp_path / "asked", "--start", "global", few=False)
