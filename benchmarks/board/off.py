@@ -69,9 +69,7 @@ MECHANISMS: dict[str, Patch] = {
         "observation.edge_observation:EdgeObservation.scene_clutter",
         lambda self, sighting, *_: (np.ones(len(sighting.edges)), np.ones(len(sighting.edges))),
     ),
-    "polarity": _all(
-        _set("observation.likelihood:MEAN_POLARITY", 0.0), _set("observation.association:MEAN_POLARITY", 0.0)
-    ),
+    "polarity": _all(_set("observation.frame:MEAN_POLARITY", 0.0), _set("observation.association:MEAN_POLARITY", 0.0)),
     "history": _set("relocalisation.history:SCENES", 1),
     "fourth-root": _set("relocalisation.candidates:EVENNESS", 1.0),
     "limits": _set("filter.belief:SUPPORTED", np.inf),

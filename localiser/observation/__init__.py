@@ -1,7 +1,7 @@
 """The observation: how well what was measured fits a pose, log p(sighting | particle)."""
 
 from localiser.observation.association import Association, EndOffsets, end_offsets
-from localiser.observation.edge_observation import EdgeObservation
+from localiser.observation.edge_observation import EdgeObservation, View
 from localiser.observation.frame import SIGMA_PX as ENDPOINT_SIGMA_PX
 from localiser.observation.frame import (
     Frame,
@@ -18,7 +18,6 @@ from localiser.observation.inlier_rate import (
     InlierRate,
     log_sum_of_rates,
 )
-from localiser.observation.likelihood import View
 from localiser.observation.place_landmarks import NearLandmarks, Visibility
 from localiser.observation.sighting import (
     EarlierImage,

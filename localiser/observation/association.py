@@ -26,9 +26,16 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, image_heights, in_camera, sight
-from localiser.observation.frame import TOLERANCE_PX, Frame, Indices, ends_lower_first, marked_landmarks
+from localiser.observation.frame import (
+    GATE_SIGMAS,
+    MEAN_POLARITY,
+    TOLERANCE_PX,
+    Frame,
+    Indices,
+    ends_lower_first,
+    marked_landmarks,
+)
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
-from localiser.observation.likelihood import GATE_SIGMAS, MEAN_POLARITY
 from localiser.observation.sighting import Matches, Sighting, Targets
 
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
@@ -42,8 +49,8 @@ class Expected:
 
     pose, landmark: (K,) indices. angle: (K,) at which each is expected (rad), per_m: (K,) derivative by how far it
     stands to the side (rad/m), variance: (K,) of it by the map (rad²). ends: (K, 2) upright heights of its lower and
-    upper end, known: (K, 2) whether the map knows them. leaning: (K,) mean polarity. in_the_open: (K,) probability that
-    no wall hides it.
+    upper end, known: (K, 2) whether the map knows them. polarity: (K,). in_the_open: (K,) probability that no wall
+    hides it.
     """
 
     pose: Indices
@@ -53,14 +60,14 @@ class Expected:
     variance: Array
     ends: Array
     known: NDArray[np.bool_]
-    leaning: Array
+    polarity: NDArray[np.int8]
     in_the_open: Array
 
 
 def expected_from(frame: Frame, camera_poses: Array, landmark_map: LandmarkMap, map_scale: float) -> Expected:
     """Return the landmarks that the frame's camera sees from poses (N, 3); map_scale: of the map's sigmas."""
     parameters = frame.parameters
-    seen = sight(frame.camera, camera_poses, landmark_map, parameters.sight.far)
+    seen = sight(frame.camera, camera_poses, landmark_map, frame.far)
     predicted, per_bearing = frame.predicted(seen.tangent)
     landmark, per_m = seen.landmark, per_bearing / seen.range_m
     sigma_m = map_scale * landmark_map.sigma_m(parameters.landmark_sigma_m)[landmark]
@@ -72,7 +79,7 @@ def expected_from(frame: Frame, camera_poses: Array, landmark_map: LandmarkMap, 
         variance=(per_m * sigma_m) ** 2,
         ends=np.column_stack([seen.e_bottom, seen.e_top]),
         known=np.isfinite(np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])),
-        leaning=np.asarray(MEAN_POLARITY * landmark_map.polarity[landmark], dtype=np.float64),
+        polarity=landmark_map.polarity[landmark],
         in_the_open=parameters.sight.in_the_open(seen.range_m),
     )
 
@@ -108,7 +115,10 @@ class Association:
         """Return how the edges of a sighting compare with what is expected; extra_var: (K,) rad², of that besides."""
         (measured, measured_var), named = frame.measured, frame.edges.landmark_id
         variance = expected.variance + extra_var
-        pair, edge = pairs_near(measured, measured_var, expected.angle, variance)
+        order = np.argsort(measured)
+        apart, apart_var = measured[order] - expected.angle[:, None], measured_var[order] + variance[:, None]
+        pair, column = np.nonzero(apart**2 < GATE_SIGMAS**2 * apart_var)  # none of an edge of which nothing is known
+        edge = order[column]
         if frame.parameters.association == "known":  # an edge is of the landmark that it names, or clutter
             said, shared = named[edge] == expected.landmark[pair], np.ones(len(edge))
         else:
@@ -231,22 +241,6 @@ def end_offsets(matches: Matches, pose: Array, edges: Edges, camera: Camera, lan
     return EndOffsets((measured - expected)[inside], per_height[inside])
 
 
-# -- pairs of an edge and a landmark ----------------------------------------------------------------------------------
-
-
-def pairs_near(measured: Array, measured_var: Array, expected: Array, expected_var: Array) -> tuple[Indices, Indices]:
-    """Return indices (P,) of expected (K,) and measured angles (E,) within `GATE_SIGMAS` of each other."""
-    # An edge of which this observation knows nothing (a lean, where only bearings are measured) has no pair.
-    known = np.flatnonzero(np.isfinite(measured) & np.isfinite(measured_var))
-    order = known[np.argsort(measured[known])]
-    reach = GATE_SIGMAS * np.sqrt(expected_var + measured_var[known].max(initial=0.0))
-    first = np.searchsorted(measured[order], expected - reach)
-    last = np.searchsorted(measured[order], expected + reach)
-    pair = np.repeat(np.arange(len(expected)), last - first)
-    within = np.arange(len(pair)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
-    return pair, order[first[pair] + within]
-
-
 def agreement(frame: Frame, expected: Expected, pair: Indices, edge: Indices) -> Array:
     """Return c_el (P,) of pairs: how well ends and polarities agree, and the probability that no wall is before."""
     camera, ends, end, known = frame.camera, frame.ends, expected.ends[pair], expected.known[pair]
@@ -264,8 +258,8 @@ def agreement(frame: Frame, expected: Expected, pair: Indices, edge: Indices) ->
     short = np.minimum(ends.room[edge] * per_visible[:, None], 1.0) * np.where(in_image, ends.missed, 1.0)
     off = np.where(in_image, ends.e[edge] - end, np.inf) / ends.sigma[edge]
     at = np.where(known, short + ends.peak[edge] * np.exp(-0.5 * off**2), 1.0)
-    by_ends, by_polarity = covered**2 * at.prod(axis=1), 1.0 + frame.edges.polarity[edge] * expected.leaning[pair]
-    return np.asarray(by_ends * by_polarity * expected.in_the_open[pair])
+    by_polarity = 1.0 + MEAN_POLARITY * frame.edges.polarity[edge] * expected.polarity[pair]
+    return np.asarray(covered**2 * at.prod(axis=1) * by_polarity * expected.in_the_open[pair])
 
 
 def normal(error: Array, variance: Array) -> Array:

@@ -38,6 +38,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,31 +139,33 @@ def _missed_by(image: EarlierFrame, others: Sequence[EarlierFrame]) -> Array:
     return missed
 
 
-def continued_density(now: Frame, image: EarlierFrame) -> Array:
-    """Return K (E, B), relative to an even density."""
-    end_sigma_px = SIGMA_PX if now.has_ends and image.frame.has_ends else np.inf
-    return _density(now, now.clutter, image.frame.clutter, image, end_sigma_px)
-
-
+@lru_cache(maxsize=4)  # an image is compared with several earlier ones
 def grouped_density(now: Frame) -> Array:
     """Return Λ (E,), relative to an even density."""
     others, edges = now.clutter.copy(), now.clutter.copy()
     others[:, _VAR], edges[:, _VAR] = 0.0, np.nan_to_num(edges[:, _VAR])
     still = EarlierFrame(now, np.zeros(3), GROUP_RAD**2)
-    density = _density(now, edges, others, still, ROW_PX if now.has_ends else np.inf)
+    density = continued_density(now, still, ROW_PX, edges, others)
     np.fill_diagonal(density, 0.0)
     return np.asarray((1.0 + density.sum(axis=1)) / len(edges))
 
 
-def _density(now: Frame, edges: Array, before: Array, image: EarlierFrame, end_sigma_px: float) -> Array:
-    """Return how dense edges (E, 14) are that continue those of an image (B, 14).
+def continued_density(
+    now: Frame,
+    image: EarlierFrame,
+    end_sigma_px: float = SIGMA_PX,
+    edges: Array | None = None,
+    before: Array | None = None,
+) -> Array:
+    """Return K (E, B), relative to an even density.
 
-    end_sigma_px: of where an edge ends; infinite where nothing is known of it.
+    end_sigma_px: of where an edge ends. edges, before: what to take for `Frame.clutter` of both images.
     """
-    mount = now.camera.mount
-    rise = (image.frame.camera.mount.height_m - mount.height_m) / NEAR_M
+    mount, then = now.camera.mount, image.frame
+    rise = (then.camera.mount.height_m - mount.height_m) / NEAR_M
     attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), rise])
-    end_var = (end_sigma_px / now.camera.focal_px) ** 2
+    end_var = (end_sigma_px / now.camera.focal_px) ** 2 if now.has_ends and then.has_ends else np.inf
+    edges, before = now.clutter if edges is None else edges, then.clutter if before is None else before
     return compiled(continued_loop)(edges, before, image.motion, image.turn_var, attitude, end_var, NEAR_M, SHORT)
 
 
@@ -197,6 +200,8 @@ def continued_loop(
             error = now[i, _BEARING] - expected
             error -= 2 * np.pi * np.floor((error + np.pi) / (2 * np.pi))
             spread = variance + now[i, _VAR]
+            if error * error > 100.0 * spread:  # nothing beside the rest, and most pairs are so far apart
+                continue
             density = np.exp(-0.5 * error * error / spread) / np.sqrt(2 * np.pi * spread) * now[i, _SPAN]
             if density == 0.0 or not np.isfinite(density):
                 continue

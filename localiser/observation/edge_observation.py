@@ -13,31 +13,63 @@ picture, high on a wall, is no door jamb.
 
 How many edges are clutter differs from place to place, so w is not a parameter. The likelihood is computed for every
 inlier rate of `inlier_rate`, which learns their distribution and integrates them out.
+
+The sum over particles, landmarks and edges is one of compiled loops (`likelihood_kernel`). Several questions about the
+same particles, views, are answered by one call. Four things make it fast, and none of them changes the result by more
+than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be in view from a cell
+are looked at. An edge that no landmark comes near costs nothing. The loops run as vector instructions. No more
+particles are weighed at a time than the cache holds. A particle's result depends on that particle alone, whatever
+number of threads share the work.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between, compose
-from localiser.landmarks import LandmarkMap, in_camera
-from localiser.observation import clutter, likelihood
+from localiser.landmarks import LandmarkMap, in_camera, in_view_of_cells, kept_with, reach_of
+from localiser.observation import clutter
 from localiser.observation.association import Association, expected_from
 from localiser.observation.clutter import EarlierFrame
-from localiser.observation.frame import Frame
+from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
-from localiser.observation.likelihood import View
 from localiser.observation.sighting import EarlierImage, ObservationParameters, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take, thinned
 
 FEW = 64  # particles that tell how wide the cloud is
+FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
+_CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
+_PER_CELL = 32  # particles, at least, if they were spread evenly
+_SMALLEST = 1e-6  # m, m, rad
+_LARGEST_M = 4.0  # side of a cell of a cloud that is spread over a building
+_MOST_CELLS = 1 << 18  # of such a cloud, most of them empty
+_LANES, _VIEWS = 8, 2  # rates of a view, and views, at most: `likelihood_kernel`
+_PER_THREAD = 4096  # particles, below which another thread is not worth its start
+_PART = 16384  # particles weighed by one thread at a time: poses and results stay in the second cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One of the questions that a particle's edges answer at once, see `likelihood_kernel.log_products`.
+
+    rates: (K,) ascending, at most 8. of_edges: whether these are inlier rates, else detection rates. clutter: (E,) how
+    dense clutter is at each edge; None: as dense everywhere. visibility: (L,) probability that a landmark in view is
+    not hidden; None: none is.
+    """
+
+    rates: Array
+    of_edges: bool
+    clutter: Array | None = None
+    visibility: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +83,14 @@ class EdgeObservation:
     camera: Camera
     parameters: ObservationParameters
 
-    def frame(self, edges: Edges) -> Frame:
-        """Return the edges of an image as they are compared, by the camera as it was mounted then."""
-        return _frame(self, edges)
+    @cached_property
+    def frame(self) -> Callable[[Edges], Frame]:
+        """Returns the edges of an image as they are compared, by the camera as it was mounted then."""
+
+        def of(edges: Edges) -> Frame:
+            return Frame(edges, self.camera.at(edges.mount), self.parameters)
+
+        return lru_cache(FRAMES)(of)
 
     def on_processors(self, most: int) -> EdgeObservation:
         """Return the same, which weighs by as many threads as there are processors; results do not depend on it.
@@ -107,8 +144,65 @@ class EdgeObservation:
         if not len(frame.edges.bearing):
             return [np.zeros((len(view.rates), count)) for view in views]
         yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(count)
-        columns = np.vstack([particles.columns[:3], yaw])
-        return likelihood.by_views(frame, columns, sighting, landmark_map, views, blur_rad)
+        columns, threads, mount = np.vstack([particles.columns[:3], yaw]), self.parameters.threads, frame.camera.mount
+        table, (image, limits) = frame.table(landmark_map, blur_rad), frame.sight
+        farthest_m, widest = frame.far.range_max_m, limits[3]
+        landmarks = _landmarks(landmark_map, self.parameters.landmark_sigma_m)
+        reach, offset = reach_of(landmark_map, farthest_m), (mount.right_m, mount.back_m, mount.yaw_rad)
+        if len(views) > _VIEWS:
+            raise ValueError(f"expected at most {_VIEWS} views, found {len(views)}")
+        each, odds = np.zeros((len(views), 2), dtype=np.int64), np.zeros((len(views), _LANES))
+        visibility, rare = np.ones((len(views), len(landmarks))), np.ones((len(views), len(table.order)))
+        for row, view in enumerate(views):
+            each[row] = len(view.rates), view.of_edges
+            odds[row, : len(view.rates)] = view.rates / (1.0 - view.rates if view.of_edges else len(table.order))
+            if view.clutter is not None:
+                rare[row] = 1.0 / view.clutter[table.order]
+            if view.visibility is not None:
+                visibility[row] = view.visibility
+        result = np.empty((len(views), odds.shape[1], count))
+
+        def weigh(part: slice) -> None:
+            """Weigh so few particles that all about them stays in the cache."""
+            from localiser.observation import likelihood_kernel as kernel
+
+            some = columns[:, part]
+            poses, cells = some.T.copy(), _cells(some[:3])
+            run, order = kernel.ordered(kernel.cells_of(poses, *cells), int(cells[2].prod()), _by_heading(some))
+            half_view_rad = float(np.arctan(widest) + np.abs(some[3]).max())
+            start, item = in_view_of_cells(run, *cells, landmarks, half_view_rad, farthest_m, reach, offset)
+            result[..., part] = kernel.log_products(
+                poses,
+                order,
+                run,
+                offset,
+                (mount.height_m, sighting.map_scale),
+                start,
+                item,
+                landmarks,
+                visibility,
+                odds,
+                each,
+                rare,
+                table.rows,
+                *table.bins,
+                image,
+                limits,
+                (GATE_SIGMAS, table.largest_var),
+                (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed),
+                frame.span_rad,
+                self.parameters.kind == "slope",
+            )
+
+        size = min(max(-(-count // threads), _PER_THREAD), _PART)
+        parts = [slice(begin, begin + size) for begin in range(0, count, size)]
+        if min(threads, len(parts)) == 1:
+            for part in parts:
+                weigh(part)
+        else:
+            with ThreadPoolExecutor(min(threads, len(parts))) as pool:
+                list(pool.map(weigh, parts))
+        return [found[: len(view.rates)] for found, view in zip(result, views, strict=True)]
 
     def warm_up(self) -> None:
         """Compile what compares edges, or load it from the disk, so that no frame has to wait for it."""
@@ -188,14 +282,54 @@ class EdgeObservation:
         return EarlierFrame(frame, np.array([right, back, since.mean[2] + (mount[2] - then[2])]), turn_var)
 
 
-@lru_cache(maxsize=64)  # an image is asked for some forty times, and those of the last scenes with every image
-def _frame(observation: EdgeObservation, edges: Edges) -> Frame:
-    return Frame(edges, observation.camera.at(edges.mount), observation.parameters)
-
-
 def camera_poses(camera: Camera, particles: Particles) -> Array:
     """Return the floor poses (N, 3) of the particles' cameras in the map, each with its own yaw on the mount."""
     poses = camera.pose_in_map(particles.poses)
     if CAMERA_YAW in particles.names:
         poses[:, 2] += particles[CAMERA_YAW]
     return poses
+
+
+# -- particles and landmarks as the loops take them -------------------------------------------------------------------
+
+
+def _landmarks(landmark_map: LandmarkMap, sigma_m: float) -> Array:
+    """Return the landmarks (L, 6) as the loop takes them, heights (m) and sigmas (m) as the map has them."""
+
+    def make() -> Array:
+        columns: list[Array] = [
+            landmark_map.points,
+            np.nan_to_num(landmark_map.bottom_m, nan=-UNKNOWN),
+            np.nan_to_num(landmark_map.top_m, nan=UNKNOWN),
+            landmark_map.sigma_m(sigma_m),
+            landmark_map.polarity.astype(np.float64),
+        ]
+        return np.column_stack(columns)
+
+    return kept_with(landmark_map, ("likelihood", sigma_m), make)
+
+
+def _by_heading(columns: Array) -> NDArray[np.int64]:
+    """Return the particles (N,) by their cameras' headings, so that the same edges are near those beside each other.
+
+    Numbers of 16 bits are sorted several times as fast, and are fine enough: no result depends on the order.
+    """
+    heading = columns[2] + columns[3]
+    low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
+    return np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
+
+
+def _cells(columns: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Return the corner (3,) of the cells that cover poses (3, N), cells per unit (3,), and their number (3,).
+
+    Cells are no larger than the cloud, so that fewer landmarks can be in view from them.
+    """
+    low, extent = columns.min(axis=1), np.ptp(columns, axis=1)
+    size = _CELL
+    while True:
+        shape = np.floor(extent / size) + 1.0  # as floats: their product does not overflow, however far poses lie apart
+        cells = shape.prod()
+        is_spread = size[0] >= _LARGEST_M and cells <= _MOST_CELLS
+        if is_spread or cells <= max(columns.shape[1] // _PER_CELL, 1):
+            return low, 1.0 / np.minimum(size, np.maximum(extent, _SMALLEST)), shape.astype(np.int64)
+        size = size * 1.25

@@ -24,7 +24,7 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, kept_with, widest_tangent
+from localiser.landmarks import LandmarkMap, SightParameters, kept_with, widest_tangent
 from localiser.markers import code_of
 from localiser.observation.sighting import ObservationParameters
 
@@ -36,6 +36,10 @@ TOLERANCE_PX = 6.0  # how far an edge may stick out
 MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
 ROW_PX = 10.0  # how far from each other the ends of such clutter are
 UNKNOWN = 1e9  # beyond every height
+# An edge of a landmark has its polarity with probability 0.9, and clutter has both alike. So p(polarity | landmark) / ½
+# is 1 + MEAN_POLARITY · polarity_e · polarity_l, and 1 where either is unknown (0). See docs/notes/observation.md.
+MEAN_POLARITY = 2 * 0.9 - 1.0
+GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 _BINS = 512  # of the compared angle
 
 
@@ -68,8 +72,8 @@ class EdgeTable:
 
     rows: (E, 13) compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the
     lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and
-    1 / sigma, polarity, landmark whose edge it is said to be, -1 for any. order: (E,) which edge a row is. bins: of
-    their angles, see `bins_of`. largest_var: of the known ones.
+    1 / sigma, mean polarity, landmark whose edge it is said to be, -1 for any. order: (E,) which edge a row is. bins:
+    of their angles, see `bins_of`. largest_var: of the known ones.
     """
 
     rows: Array
@@ -178,7 +182,7 @@ class Frame:
         # Edges of which this observation knows nothing go to the end: no landmark comes near them.
         measured, variance = np.where(known, self.measured, [[np.inf], [1.0]])
         columns: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak]
-        columns += [1.0 / ends.sigma, edges.polarity, edges.landmark_id.astype(np.float64)]
+        columns += [1.0 / ends.sigma, MEAN_POLARITY * edges.polarity, edges.landmark_id.astype(np.float64)]
         order = np.argsort(measured, kind="stable")[: known.sum() if identified else None]
         rows = np.column_stack(columns)[order]
         return EdgeTable(rows, order, bins_of(rows[: known.sum(), 0]), float(variance[known].max(initial=0.0)))
@@ -190,9 +194,14 @@ class Frame:
         margin = sight.margin_px / camera.focal_px * np.array([-1.0, 1.0, -1.0, 1.0])
         bounds: list[float] = (np.array(camera.upright_bounds) + margin).tolist()
         tilt_rad, shortest = camera.mount.tilt_rad, max(sight.length_min_px, 1e-9) / camera.focal_px
-        widest, farthest_m = float(widest_tangent(camera, sight)), sight.far.range_max_m
+        widest, farthest_m = float(widest_tangent(camera, sight)), self.far.range_max_m
         image = (float(np.sin(tilt_rad)), float(np.cos(tilt_rad)), *bounds, shortest)
         return image, (sight.range_min_m**2, farthest_m**2, sight.range_max_m**2, widest)
+
+    @cached_property
+    def far(self) -> SightParameters:
+        """Which landmarks may be seen, down a long corridor too."""
+        return self.parameters.sight.far
 
     @cached_property
     def clutter(self) -> Array:

@@ -15,7 +15,6 @@ them explains nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -61,8 +60,9 @@ class InlierRate:
     def log_mean(self, by_rate: Array) -> Array:
         """Return log p(edges | pose) (N,), the rates integrated out of `by_rate` (K, N)."""
         log_probability, count = np.log(self.probability)[:, None], by_rate.shape[1]
-        bounds = np.linspace(0, count, max(count // _PART, 1) + 1).astype(np.int64).tolist()
-        parts = [log_sum_of_rates(by_rate[:, low:high] + log_probability) for low, high in pairwise(bounds)]
+        parts = [
+            log_sum_of_rates(by_rate[:, low : low + _PART] + log_probability) for low in range(0, max(count, 1), _PART)
+        ]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def given(self, by_rate: Array, weight: Array, independent_frames: float) -> Self:

@@ -23,7 +23,7 @@ Indices = NDArray[np.int64]
 LANES = 8  # float64 in a vector register
 FEWEST = 2  # vectors, for which a vector loop is entered
 BLOCK = 64  # particles looked at together
-SHOWN = 2  # statements of which landmarks are hidden, at most
+VIEWS = 2  # at most
 UNKNOWN_M = 1e8  # heights beyond this are not known
 SAFE = 1e150  # a product is put aside when it grows beyond
 
@@ -41,7 +41,7 @@ _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SCALE = range(6, 14)
 _RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _AT_FOOT, _AT_TOP, _DENSITY, _RATIO = range(14, 22)
 _OPEN = 22
-_SEEN = 23  # for each of `SHOWN`
+_SEEN = 23  # for each of `VIEWS`
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)
 _PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _IDENTITY = range(9, 13)
@@ -200,9 +200,9 @@ def _look(
 @inlined
 def _count(block: Array, lanes: int, visibility: Array, k: int) -> None:
     """Count landmark k for those that see it, by how visible it is."""
-    for shown in range(len(visibility)):
+    for view in range(len(visibility)):
         for m in range(lanes):
-            block[_SEEN + shown, m] += visibility[shown, k] * block[_OPEN, m]
+            block[_SEEN + view, m] += visibility[view, k] * block[_OPEN, m]
 
 
 @inlined
@@ -280,9 +280,9 @@ def _weigh(edge: Any, block: Array, lanes: int, ends: Any, hidden: Any, alike: f
 @inlined
 def _add_up(e: int, k: int, visibility: Array, block: Array, lanes: int, density: Array) -> None:
     """Add the densities of edge e and landmark k to `density`, by how visible the landmark is."""
-    for shown in range(len(visibility)):
+    for view in range(len(visibility)):
         for m in range(lanes):
-            density[shown, e, m] += visibility[shown, k] * block[_OPEN, m] * block[_DENSITY, m]
+            density[view, e, m] += visibility[view, k] * block[_OPEN, m] * block[_DENSITY, m]
 
 
 @inlined
@@ -315,13 +315,13 @@ def _multiply(
 @inlined
 def _begin(block: Array, density: Array, is_near: NDArray[np.bool_]) -> None:
     """Count no landmark, and no edge as near, yet."""
-    for shown in range(len(density)):
+    for view in range(len(density)):
         for m in range(BLOCK):
-            block[_SEEN + shown, m] = 0.0
+            block[_SEEN + view, m] = 0.0
         for e in range(len(is_near)):
             if is_near[e]:
                 for m in range(BLOCK):
-                    density[shown, e, m] = 0.0
+                    density[view, e, m] = 0.0
     for e in range(len(is_near)):
         is_near[e] = False
 
@@ -389,10 +389,10 @@ def log_products(
     edge of known identity belongs to that landmark or is clutter: n is 1 for it at inlier rates.
 
     at: the camera's height (m) and by how much farther landmarks stand from their places than the map says.
-    visibility: (S, L) this probability, by S statements. odds: (V, LANES) o_k of ascending rates. views: (V, 3) of each
-    view its statement, how many rates it has, and whether they are inlier rates. rare: (V, E) 1 / clutter_e.
+    visibility: (V, L) this probability. odds: (V, LANES) o_k of ascending rates. views: (V, 2) of each view how many
+    rates it has, and whether they are inlier rates. rare: (V, E) 1 / clutter_e.
     """
-    block = np.ones((_SEEN + SHOWN, BLOCK))
+    block = np.ones((_SEEN + VIEWS, BLOCK))
     density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
     factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
     result, per_density = np.zeros((len(views), LANES, len(poses))), span / np.sqrt(2 * np.pi)
@@ -425,20 +425,20 @@ def log_products(
                         is_near[e] = True
 
             for view in range(len(views)):
-                shown, rates, is_inlier_rate = views[view]
+                rates, is_inlier_rate = views[view]
                 for m in range(BLOCK):
-                    block[_SCALE, m] = 1.0 / max(block[_SEEN + shown, m], 1.0)
+                    block[_SCALE, m] = 1.0 / max(block[_SEEN + view, m], 1.0)
                 factor[:], log_factor[:] = 1.0, 0.0
                 for e in range(len(edges)):
                     if is_near[e]:
                         scale = per_density * rare[view, e], is_inlier_rate > 0 and edges[e, _IDENTITY] < 0
-                        _multiply(density[shown, e], scale, block, lanes, odds[view], rates, factor, log_factor)
+                        _multiply(density[view, e], scale, block, lanes, odds[view], rates, factor, log_factor)
                 values = factor.ravel()
                 _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
                 for k in range(rates):
                     for m in range(size):
                         unseen = (
-                            log_unseen[view, k] if is_inlier_rate else np.log1p(odds[view, k] * block[_SEEN + shown, m])
+                            log_unseen[view, k] if is_inlier_rate else np.log1p(odds[view, k] * block[_SEEN + view, m])
                         )
                         result[view, k, order[n + m]] = log_factor[k, m] - len(edges) * unseen
     return result

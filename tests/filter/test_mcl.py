@@ -19,7 +19,7 @@ from localiser.filter import Event, FilterState, Located, Mcl, MclParameters, Od
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters, linearised
-from localiser.observation import EdgeObservation, Frame, InlierRate, ObservationParameters, likelihood
+from localiser.observation import EdgeObservation, InlierRate, ObservationParameters
 from localiser.particles import POSE, Particles
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, back_m=-0.1))
@@ -260,13 +260,13 @@ def test_the_first_image_alone_is_shared_among_processors_and_gives_the_same_byt
     track = ahead(1.0, 100_000_000)
     events = in_time([Start(0, START_POSE, PRIOR)], odometry(track), sighted(track, 0)[:3])
     found, used = [], []
-    weigh = likelihood.by_views
+    weigh = EdgeObservation.by_views
 
-    def watched(frame: Frame, *rest: object) -> list[Array]:
-        used.append(frame.parameters.threads)
-        return weigh(frame, *rest)  # type: ignore[arg-type]
+    def watched(observation: EdgeObservation, *rest: object) -> list[Array]:
+        used.append(observation.parameters.threads)
+        return weigh(observation, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(likelihood, "by_views", watched)
+    monkeypatch.setattr(EdgeObservation, "by_views", watched)
     for processors in (1, 2):
         monkeypatch.setattr("os.cpu_count", lambda processors=processors: processors)
         found.append(run(filter_of(9000, NOISE), events))

@@ -238,11 +238,11 @@ def test_a_hidden_landmark_counts_for_the_probability_of_being_visible(kind: str
 
     def by_rate(visibility: Array | None = None, of: LandmarkMap = landmark_map) -> Array:
         view = View(DETECTION_RATES, False, visibility=visibility)
-        views = [view, View(INLIER_RATES, True), View(DETECTION_RATES, False, rng.uniform(1, 30, 12))]
-        together = observation.by_views(particles, sighting, of, views, 0.004)
-        for each, found in zip(views, together, strict=True):  # each is weighed as if alone
-            (alone,) = observation.by_views(particles, sighting, of, [each], 0.004)
-            np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-12)
+        for other in (View(INLIER_RATES, True), View(DETECTION_RATES, False, rng.uniform(1, 30, 12))):
+            together = observation.by_views(particles, sighting, of, [view, other], 0.004)
+            for each, found in zip([view, other], together, strict=True):  # each is weighed as if alone
+                (alone,) = observation.by_views(particles, sighting, of, [each], 0.004)
+                np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-12)
         return together[0]
 
     everything, hidden = by_rate(), rng.random(40) < 0.5

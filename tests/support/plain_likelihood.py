@@ -5,7 +5,7 @@ import numpy as np
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.observation import INLIER_RATES, EdgeObservation, Sighting
-from localiser.observation.association import agreement, expected_from, normal, pairs_near
+from localiser.observation.association import agreement, expected_from, normal
 from localiser.observation.edge_observation import camera_poses
 from localiser.particles import Particles
 
@@ -25,8 +25,9 @@ def by_rate_plain(
     expected = expected_from(frame, camera_poses(frame.camera, particles), landmark_map, sighting.map_scale)
     measured, measured_var = frame.measured
     measured_var = measured_var + blur_rad**2
-    pair, edge = pairs_near(measured, measured_var, expected.angle, expected.variance)
-    density = normal(measured[edge] - expected.angle[pair], expected.variance[pair] + measured_var[edge])
+    apart, variance = measured - expected.angle[:, None], measured_var + expected.variance[:, None]
+    pair, edge = np.nonzero(apart**2 < 36.0 * variance)
+    density = normal(apart[pair, edge], variance[pair, edge])
     density *= agreement(frame, expected, pair, edge)
     if sighting.persistent is not None:
         density /= sighting.persistent[edge]
