@@ -209,7 +209,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     # Estimate: before resampling, which only adds noise. Which landmark does each edge show from there?
     located, association = _located(mcl, state, weighed, measured, image, took_over)
     # Learn: which edges are clutter, which landmarks are seen, how far do edges, the camera's height and the map err?
-    clutter = _clutter(mcl, state, weighed, located)
+    clutter = _clutter(state, weighed, located, association)
     if weighed is not None and mcl.search is not None:
         pose, points = located.estimate.pose_as_seen, mcl.landmark_map.points
         state.belief = state.belief.seen(located.matches, points, pose, image.jump.novelty)
@@ -423,12 +423,13 @@ def _located(
     return located, association
 
 
-def _clutter(mcl: Mcl, state: FilterState, weighed: Particles | None, located: Located) -> Array | None:
+def _clutter(
+    state: FilterState, weighed: Particles | None, located: Located, association: Association | None
+) -> Array | None:
     """Return how probably each edge (E,) is of nothing on the map; None where no place is tracked."""
-    if mcl.edges is None or weighed is None or located.sighting is None:
+    if association is None or weighed is None:
         return None
-    association = mcl.edges.associate_cloud(weighed, located.sighting, mcl.landmark_map)
-    return 1.0 - located.p_correct * (1.0 - association.clutter(state.inliers.mean))
+    return 1.0 - located.p_correct * (1.0 - association.over(weighed).clutter(state.inliers.mean))
 
 
 def _resampled(

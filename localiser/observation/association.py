@@ -37,7 +37,9 @@ from localiser.observation.frame import (
 )
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.sighting import Matches, Sighting, Targets
+from localiser.particles import CAMERA_YAW, Particles, thinned
 
+FEW = 64  # particles that tell how wide the cloud is
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
 BESIDE_M = 0.15  # landmarks stand at most so far from where the map has them
 _SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
@@ -84,6 +86,14 @@ def expected_from(frame: Frame, camera_poses: Array, landmark_map: LandmarkMap, 
     )
 
 
+def camera_poses(camera: Camera, particles: Particles) -> Array:
+    """Return the floor poses (N, 3) of the particles' cameras in the map, each with its own yaw on the mount."""
+    poses = camera.pose_in_map(particles.poses)
+    if CAMERA_YAW in particles.names:
+        poses[:, 2] += particles[CAMERA_YAW]
+    return poses
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Association:
     """How edges (E) compare with the landmarks that are seen from one pose: P pairs near each other.
@@ -110,11 +120,18 @@ class Association:
         sighting: Sighting,
         landmark_map: LandmarkMap,
         expected: Expected,
-        extra_var: Array | float = 0.0,
+        particles: Particles | None = None,
     ) -> Association:
-        """Return how the edges of a sighting compare with what is expected; extra_var: (K,) rad², of that besides."""
-        (measured, measured_var), named = frame.measured, frame.edges.landmark_id
-        variance = expected.variance + extra_var
+        """Return how the edges of a sighting compare with what is expected from one pose; particles: see `over`."""
+        (measured, measured_var), named, variance = frame.measured, frame.edges.landmark_id, expected.variance
+        if particles is not None:
+            few = thinned(particles, FEW)
+            right, ahead = in_camera(camera_poses(frame.camera, few), landmark_map.points[expected.landmark])
+            faced, weight = ahead > 0, few.weight
+            predicted, _ = frame.predicted(right / np.where(faced, ahead, 1.0))
+            total = np.maximum(weight @ faced, 1e-300)
+            mean = weight @ (faced * predicted) / total
+            variance = variance + weight @ (faced * (predicted - mean) ** 2) / total
         order = np.argsort(measured)
         apart, apart_var = measured[order] - expected.angle[:, None], measured_var[order] + variance[:, None]
         pair, column = np.nonzero(apart**2 < GATE_SIGMAS**2 * apart_var)  # none of an edge of which nothing is known
@@ -129,6 +146,13 @@ class Association:
         residual, variance = measured[edge] - expected.angle[pair], variance[pair] + measured_var[edge]
         odds = normal(residual, variance) * agreement(frame, expected, pair, edge) * frame.span_rad / shared
         return cls(frame, sighting, landmark_map, expected, pair, edge, residual, variance, odds)
+
+    def over(self, particles: Particles) -> Association:
+        """Return the same over all poses of the particles whose mean pose it is from.
+
+        An angle is then also as uncertain as what those of the particles predict that face the landmark.
+        """
+        return Association.of(self.frame, self.sighting, self.landmark_map, self.expected, particles)
 
     def matches(self) -> Matches:
         """Return the most likely landmark of every edge, whether or not an earlier image showed it too."""

@@ -36,16 +36,15 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between, compose
-from localiser.landmarks import LandmarkMap, in_camera, in_view_of_cells, kept_with, reach_of
+from localiser.landmarks import LandmarkMap, in_view_of_cells, kept_with, reach_of
 from localiser.observation import clutter
-from localiser.observation.association import Association, expected_from
+from localiser.observation.association import FEW, Association, camera_poses, expected_from
 from localiser.observation.clutter import EarlierFrame
 from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import EarlierImage, ObservationParameters, Sighting
-from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take, thinned
+from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 
-FEW = 64  # particles that tell how wide the cloud is
 FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
 _CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
 _PER_CELL = 32  # particles, at least, if they were spread evenly
@@ -214,28 +213,20 @@ class EdgeObservation:
 
     # -- association ------------------------------------------------------------------------------------------------
 
-    def associate(self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
-        """Return how the edges compare with the landmarks that are seen from one robot pose (3,)."""
+    def associate(
+        self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, particles: Particles | None = None
+    ) -> Association:
+        """Return how the edges compare with the landmarks that are seen from one robot pose (3,).
+
+        particles: whose mean pose it is; see `Association.over`.
+        """
         frame = self.frame(sighting.edges)
-        poses = frame.camera.pose_in_map(pose[None])
-        expected = expected_from(frame, poses, landmark_map, sighting.map_scale)
-        return Association.of(frame, sighting, landmark_map, expected)
+        expected = expected_from(frame, frame.camera.pose_in_map(pose[None]), landmark_map, sighting.map_scale)
+        return Association.of(frame, sighting, landmark_map, expected, particles)
 
     def associate_cloud(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
-        """Return how the edges compare with the landmarks seen from the mean pose of particles.
-
-        An angle is then also as uncertain as what those of the particles predict that face the landmark.
-        """
-        frame, few = self.frame(sighting.edges), thinned(particles, FEW)
-        poses = frame.camera.pose_in_map(estimate(particles).pose_as_seen[None])
-        expected = expected_from(frame, poses, landmark_map, sighting.map_scale)
-        right, ahead = in_camera(camera_poses(frame.camera, few), landmark_map.points[expected.landmark])
-        faced, weight = ahead > 0, few.weight
-        predicted, _ = frame.predicted(right / np.where(faced, ahead, 1.0))
-        total = np.maximum(weight @ faced, 1e-300)
-        mean = weight @ (faced * predicted) / total
-        spread_var = weight @ (faced * (predicted - mean) ** 2) / total
-        return Association.of(frame, sighting, landmark_map, expected, spread_var)
+        """Return how the edges compare with the landmarks seen from the mean pose of particles, over all poses."""
+        return self.associate(estimate(particles).pose_as_seen, sighting, landmark_map, particles)
 
     def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
         """Return two angles (rad), medians over landmarks and edges: the spread of predictions, the measured sigma.
@@ -280,14 +271,6 @@ class EdgeObservation:
         mount, then = now.camera.robot_from_level, frame.camera.robot_from_level
         right, back, _ = between(then, compose(since.mean, mount))
         return EarlierFrame(frame, np.array([right, back, since.mean[2] + (mount[2] - then[2])]), turn_var)
-
-
-def camera_poses(camera: Camera, particles: Particles) -> Array:
-    """Return the floor poses (N, 3) of the particles' cameras in the map, each with its own yaw on the mount."""
-    poses = camera.pose_in_map(particles.poses)
-    if CAMERA_YAW in particles.names:
-        poses[:, 2] += particles[CAMERA_YAW]
-    return poses
 
 
 # -- particles and landmarks as the loops take them -------------------------------------------------------------------

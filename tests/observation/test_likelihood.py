@@ -15,7 +15,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, sight
 from localiser.observation import DETECTION_RATES, INLIER_RATES, EdgeObservation, ObservationParameters, Sighting, View
-from localiser.observation.edge_observation import camera_poses
+from localiser.observation.association import camera_poses
 from localiser.observation.frame import bins_of
 from localiser.particles import POSE, Particles
 

@@ -5,8 +5,7 @@ import numpy as np
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.observation import INLIER_RATES, EdgeObservation, Sighting
-from localiser.observation.association import agreement, expected_from, normal
-from localiser.observation.edge_observation import camera_poses
+from localiser.observation.association import agreement, camera_poses, expected_from, normal
 from localiser.particles import Particles
 
 
