@@ -29,6 +29,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between, compose
+from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, in_view_of_cells, kept_with, reach_of
 from localiser.observation import clutter
 from localiser.observation.association import FEW, Association, camera_poses, expected_from
@@ -46,7 +48,7 @@ from localiser.observation.sighting import EarlierImage, ObservationParameters, 
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 
 FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
-_CELL = np.array([0.5, 0.5, 2 * np.pi / 32])  # m, m, rad; larger where particles are few
+_CELL = (0.5, 0.5, 2 * np.pi / 32)  # m, m, rad; larger where particles are few
 _PER_CELL = 32  # particles, at least, if they were spread evenly
 _SMALLEST = 1e-6  # m, m, rad
 _LARGEST_M = 4.0  # side of a cell of a cloud that is spread over a building
@@ -146,7 +148,8 @@ class EdgeObservation:
         columns, threads, mount = np.vstack([particles.columns[:3], yaw]), self.parameters.threads, frame.camera.mount
         table, (image, limits) = frame.table(landmark_map, blur_rad), frame.sight
         farthest_m, widest = frame.far.range_max_m, limits[3]
-        landmarks = _landmarks(landmark_map, self.parameters.landmark_sigma_m)
+        sigma_m = self.parameters.landmark_sigma_m
+        landmarks = kept_with(landmark_map, ("table", sigma_m), lambda: landmark_table(landmark_map, sigma_m))
         reach, offset = reach_of(landmark_map, farthest_m), (mount.right_m, mount.back_m, mount.yaw_rad)
         if len(views) > _VIEWS:
             raise ValueError(f"expected at most {_VIEWS} views, found {len(views)}")
@@ -166,8 +169,12 @@ class EdgeObservation:
             from localiser.observation import likelihood_kernel as kernel
 
             some = columns[:, part]
-            poses, cells = some.T.copy(), _cells(some[:3])
-            run, order = kernel.ordered(kernel.cells_of(poses, *cells), int(cells[2].prod()), _by_heading(some))
+            # By heading, so that the same edges are near those beside each other. Numbers of 16 bits are sorted several
+            # times as fast, and are fine enough: no result depends on the order.
+            heading, poses = some[2] + some[3], some.T.copy()
+            low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
+            by_heading = np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
+            run, order, *cells = entry(in_cells_loop)(poses, by_heading)
             half_view_rad = float(np.arctan(widest) + np.abs(some[3]).max())
             start, item = in_view_of_cells(run, *cells, landmarks, half_view_rad, farthest_m, reach, offset)
             result[..., part] = kernel.log_products(
@@ -273,46 +280,49 @@ class EdgeObservation:
         return EarlierFrame(frame, np.array([right, back, since.mean[2] + (mount[2] - then[2])]), turn_var)
 
 
-# -- particles and landmarks as the loops take them -------------------------------------------------------------------
-
-
-def _landmarks(landmark_map: LandmarkMap, sigma_m: float) -> Array:
+def landmark_table(landmark_map: LandmarkMap, sigma_m: float) -> Array:
     """Return the landmarks (L, 6) as the loop takes them, heights (m) and sigmas (m) as the map has them."""
-
-    def make() -> Array:
-        columns: list[Array] = [
-            landmark_map.points,
-            np.nan_to_num(landmark_map.bottom_m, nan=-UNKNOWN),
-            np.nan_to_num(landmark_map.top_m, nan=UNKNOWN),
-            landmark_map.sigma_m(sigma_m),
-            landmark_map.polarity.astype(np.float64),
-        ]
-        return np.column_stack(columns)
-
-    return kept_with(landmark_map, ("likelihood", sigma_m), make)
+    columns: list[NDArray[Any]] = [
+        landmark_map.points,
+        np.nan_to_num(landmark_map.bottom_m, nan=-UNKNOWN),
+        np.nan_to_num(landmark_map.top_m, nan=UNKNOWN),
+        landmark_map.sigma_m(sigma_m),
+        landmark_map.polarity,
+    ]
+    return np.column_stack(columns)
 
 
-def _by_heading(columns: Array) -> NDArray[np.int64]:
-    """Return the particles (N,) by their cameras' headings, so that the same edges are near those beside each other.
+# -- a loop, for numba to compile --------------------------------------------------------------------------------------
 
-    Numbers of 16 bits are sorted several times as fast, and are fine enough: no result depends on the order.
+
+def in_cells_loop(
+    poses: Array, sequence: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, NDArray[np.int64]]:
+    """Return run (cells + 1,) and order (N,): poses (N, 3+) of cell c are order[run[c] : run[c + 1]].
+
+    Then, of the cells, the corner (3,), how many are in a unit (3,), and how many there are (3,). They are no larger
+    than the cloud, so that fewer landmarks can be in view from them. sequence: (N,) indices, whose order is kept.
     """
-    heading = columns[2] + columns[3]
-    low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
-    return np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
-
-
-def _cells(columns: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return the corner (3,) of the cells that cover poses (3, N), cells per unit (3,), and their number (3,).
-
-    Cells are no larger than the cloud, so that fewer landmarks can be in view from them.
-    """
-    low, extent = columns.min(axis=1), np.ptp(columns, axis=1)
-    size = _CELL
-    while True:
-        shape = np.floor(extent / size) + 1.0  # as floats: their product does not overflow, however far poses lie apart
-        cells = shape.prod()
-        is_spread = size[0] >= _LARGEST_M and cells <= _MOST_CELLS
-        if is_spread or cells <= max(columns.shape[1] // _PER_CELL, 1):
-            return low, 1.0 / np.minimum(size, np.maximum(extent, _SMALLEST)), shape.astype(np.int64)
-        size = size * 1.25
+    low, high = poses[0, :3].copy(), poses[0, :3].copy()
+    for n in range(len(poses)):
+        for k in range(3):
+            low[k], high[k] = min(low[k], poses[n, k]), max(high[k], poses[n, k])
+    extent, size = high - low, np.array(_CELL)
+    shape = np.floor(extent / size) + 1.0  # as floats: their product does not overflow, however far poses lie apart
+    while shape.prod() > max(len(poses) // _PER_CELL, 1) and (size[0] < _LARGEST_M or shape.prod() > _MOST_CELLS):
+        size *= 1.25
+        shape = np.floor(extent / size) + 1.0
+    per_unit, (rows, columns, turns) = 1.0 / np.minimum(size, np.maximum(extent, _SMALLEST)), shape.astype(np.int64)
+    run, cell, order = np.zeros(rows * columns * turns + 1, np.int64), np.empty_like(sequence), np.empty_like(sequence)
+    for n in range(len(poses)):
+        i = min(int((poses[n, 0] - low[0]) * per_unit[0]), rows - 1)
+        j = min(int((poses[n, 1] - low[1]) * per_unit[1]), columns - 1)
+        k = min(int((poses[n, 2] - low[2]) * per_unit[2]), turns - 1)
+        cell[n] = (i * columns + j) * turns + k
+        run[cell[n] + 1] += 1
+    run = run.cumsum()
+    place = run.copy()
+    for n in sequence:
+        order[place[cell[n]]] = n
+        place[cell[n]] += 1
+    return run, order, low, per_unit, shape.astype(np.int64)

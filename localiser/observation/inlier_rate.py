@@ -78,11 +78,6 @@ class InlierRate:
 class DetectionRate(InlierRate):
     """The distribution of an image's detection rate. count (K,): how many images had each of `DETECTION_RATES`."""
 
-    @property
-    def mean(self) -> float:
-        """The detection rate expected of the next image."""
-        return float(self.probability @ DETECTION_RATES)
-
 
 def log_sum_of_rates(joint: Array) -> Array:
     """Return log Σ_k exp(joint) (N,) of joint (K, N), a few rates: much faster than `np.logaddexp.reduce`."""

@@ -47,39 +47,6 @@ _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PE
 _PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _IDENTITY = range(9, 13)
 
 
-# -- particles by cell ------------------------------------------------------------------------------------------------
-
-
-@entry
-def cells_of(poses: Array, low: Array, per_unit: Array, shape: Indices) -> Indices:
-    """Return the cell (N,) of each of the poses (N, 3+): cells start at `low` (3,), per_unit (3,) in a unit."""
-    cell = np.empty(len(poses), np.int64)
-    for n in range(len(cell)):
-        i = min(int((poses[n, 0] - low[0]) * per_unit[0]), shape[0] - 1)
-        j = min(int((poses[n, 1] - low[1]) * per_unit[1]), shape[1] - 1)
-        k = min(int((poses[n, 2] - low[2]) * per_unit[2]), shape[2] - 1)
-        cell[n] = (i * shape[1] + j) * shape[2] + k
-    return cell
-
-
-@entry
-def ordered(cell: Indices, cells: int, sequence: Indices) -> tuple[Indices, Indices]:
-    """Return run (cells + 1,) and order (N,): particles of cell c are order[run[c] : run[c + 1]], as in `sequence`.
-
-    sequence: (N,) indices of all particles.
-    """
-    run = np.zeros(cells + 1, np.int64)
-    for c in cell:
-        run[c + 1] += 1
-    for c in range(cells):
-        run[c + 1] += run[c]
-    place, order = run[:-1].copy(), np.empty(len(cell), np.int64)
-    for n in sequence:
-        order[place[cell[n]]] = n
-        place[cell[n]] += 1
-    return run, order
-
-
 # -- what particles see -----------------------------------------------------------------------------------------------
 
 
