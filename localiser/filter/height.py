@@ -30,7 +30,7 @@ import numpy as np
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.observation import ENDPOINT_SIGMA_PX, EndOffsets
+from localiser.observation import ENDPOINT_SIGMA_PX
 
 OFFSETS_M: Array = np.linspace(-0.4, 0.4, 161)
 STATED_SIGMA_M = 0.03  # of a height that people measure or take from a drawing
@@ -104,17 +104,17 @@ class Height:
         """Return it with the novelty of one more image, 0 … 1."""
         return replace(self, novelty=min(self.novelty + novelty, 1.0))
 
-    def after(self, ends: EndOffsets, camera: Camera) -> Height:
-        """Return what is known after the ends of an image, which were compared at the stated height."""
-        if not len(ends):
+    def after(self, offset: Array, per_height: Array, camera: Camera) -> Height:
+        """Return what is known after the ends (P,) of an image, `end_offsets` at the stated height."""
+        if not len(offset):
             return replace(self, novelty=0.0)
         sigma = ENDPOINT_SIGMA_PX / camera.focal_px / np.sqrt(2)  # of what is each end's own, and of what is common
-        off = (ends.offset[:, None] - ends.per_height[:, None] * OFFSETS_M) / sigma
+        off = (offset[:, None] - per_height[:, None] * OFFSETS_M) / sigma
         _, _, e_low, e_high = camera.upright_bounds
         there = np.exp(-0.5 * off**2) * (e_high - e_low) / (np.sqrt(2 * np.pi) * sigma)
         log_fits = [np.log(missed + (1.0 - missed) * there).sum(axis=0) for missed in MISSED]
         log_fit = self.novelty * np.logaddexp.reduce(log_fits)
-        common = _APART_M * np.median(np.abs(ends.per_height)) / sigma
+        common = _APART_M * np.median(np.abs(per_height)) / sigma
         fit = np.exp(-0.5 * common**2) @ np.exp(log_fit - log_fit.max())
         known = (1.0 - FORGOTTEN) * self.probability + FORGOTTEN * _STATED
         return Height(known * fit / (known @ fit))

@@ -489,7 +489,7 @@ def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> He
         return height
     stated = mcl.level.camera.at(located.edges.mount)
     offsets = end_offsets(located.matches, located.estimate.pose_as_seen, edges, stated, mcl.landmark_map)
-    return height.after(offsets, stated)
+    return height.after(*offsets, stated)
 
 
 def _map_error(

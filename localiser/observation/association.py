@@ -231,23 +231,13 @@ class Association:
         return np.asarray(log_sum_of_rates(by_rate) - np.log(len(INLIER_RATES)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EndOffsets:
-    """Where matched edges end, beside where their landmarks do: P ends inside the image.
-
-    offset: (P,) measured minus expected upright image height. per_height: (P,) derivative of the expected one by the
-    camera's height above the floor, 1/m.
-    """
-
-    offset: Array
-    per_height: Array
-
-    def __len__(self) -> int:
-        return len(self.offset)
-
-
-def end_offsets(matches: Matches, pose: Array, edges: Edges, camera: Camera, landmark_map: LandmarkMap) -> EndOffsets:
+def end_offsets(
+    matches: Matches, pose: Array, edges: Edges, camera: Camera, landmark_map: LandmarkMap
+) -> tuple[Array, Array]:
     """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
+
+    Of P ends inside the image: the measured minus the expected upright height (P,), and the derivative (P,) of the
+    expected one by the camera's height above the floor, 1/m.
 
     A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
     that ∂e/∂h = -d / (d c - v s)², where h is the height of the camera, and c and s are of its tilt.
@@ -262,7 +252,7 @@ def end_offsets(matches: Matches, pose: Array, edges: Edges, camera: Camera, lan
     inside = np.isfinite(ends_m) & (expected > e_low) & (expected < e_high) & ~cut
     depth = ahead_m[0, :, None] * np.cos(mount.tilt_rad) - (ends_m - mount.height_m) * np.sin(mount.tilt_rad)
     per_height = -ahead_m[0, :, None] / depth**2
-    return EndOffsets((measured - expected)[inside], per_height[inside])
+    return (measured - expected)[inside], per_height[inside]
 
 
 def agreement(frame: Frame, expected: Expected, pair: Indices, edge: Indices) -> Array:

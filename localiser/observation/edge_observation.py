@@ -146,7 +146,7 @@ class EdgeObservation:
             return [np.zeros((len(view.rates), count)) for view in views]
         yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(count)
         columns, threads, mount = np.vstack([particles.columns[:3], yaw]), self.parameters.threads, frame.camera.mount
-        table, (image, limits) = frame.table(landmark_map, blur_rad), frame.sight
+        (rows, by_angle, bins, largest_var), (image, limits) = frame.table(landmark_map, blur_rad), frame.sight
         farthest_m, widest = frame.far.range_max_m, limits[3]
         sigma_m = self.parameters.landmark_sigma_m
         landmarks = kept_with(landmark_map, ("table", sigma_m), lambda: landmark_table(landmark_map, sigma_m))
@@ -154,12 +154,12 @@ class EdgeObservation:
         if len(views) > _VIEWS:
             raise ValueError(f"expected at most {_VIEWS} views, found {len(views)}")
         each, odds = np.zeros((len(views), 2), dtype=np.int64), np.zeros((len(views), _LANES))
-        visibility, rare = np.ones((len(views), len(landmarks))), np.ones((len(views), len(table.order)))
+        visibility, rare = np.ones((len(views), len(landmarks))), np.ones((len(views), len(rows)))
         for row, view in enumerate(views):
             each[row] = len(view.rates), view.of_edges
-            odds[row, : len(view.rates)] = view.rates / (1.0 - view.rates if view.of_edges else len(table.order))
+            odds[row, : len(view.rates)] = view.rates / (1.0 - view.rates if view.of_edges else len(rows))
             if view.clutter is not None:
-                rare[row] = 1.0 / view.clutter[table.order]
+                rare[row] = 1.0 / view.clutter[by_angle]
             if view.visibility is not None:
                 visibility[row] = view.visibility
         result = np.empty((len(views), odds.shape[1], count))
@@ -190,11 +190,11 @@ class EdgeObservation:
                 odds,
                 each,
                 rare,
-                table.rows,
-                *table.bins,
+                rows,
+                *bins,
                 image,
                 limits,
-                (GATE_SIGMAS, table.largest_var),
+                (GATE_SIGMAS, largest_var),
                 (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed),
                 frame.span_rad,
                 self.parameters.kind == "slope",

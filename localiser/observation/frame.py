@@ -13,7 +13,7 @@ stands alone and small where other edges of the image end.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -30,6 +30,7 @@ from localiser.observation.sighting import ObservationParameters
 
 Indices = NDArray[np.int64]
 EdgeBins = tuple[Indices, tuple[float, float, float]]
+EdgeTable = tuple[Array, Indices, EdgeBins, float]
 
 SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
 TOLERANCE_PX = 6.0  # how far an edge may stick out
@@ -64,22 +65,6 @@ class Endpoints:
     def cut(self) -> NDArray[np.bool_]:
         """Whether (E, 2) the image's border ends an edge there."""
         return self.room >= UNKNOWN
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EdgeTable:
-    """The edges of one image as the loop over landmarks takes them, by their compared angle.
-
-    rows: (E, 13) compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of the
-    lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak beside it and
-    1 / sigma, mean polarity, landmark whose edge it is said to be, -1 for any. order: (E,) which edge a row is. bins:
-    of their angles, see `bins_of`. largest_var: of the known ones.
-    """
-
-    rows: Array
-    order: Indices
-    bins: EdgeBins
-    largest_var: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +151,20 @@ class Frame:
     # -- as loops take them -------------------------------------------------------------------------------------------
 
     def table(self, landmark_map: LandmarkMap, blur_rad: float) -> EdgeTable:
-        """Return the table of edges. blur_rad: sigma that is added to every edge's own."""
-        rows = self._table.rows.copy()
+        """Return the edges by their compared angle, as the loop over landmarks takes them.
+
+        Rows (E, 13): compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of
+        the lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak
+        beside it and 1 / sigma, mean polarity, landmark whose edge it is said to be, -1 for any. Then which edge a row
+        is (E,), bins of the angles, see `bins_of`, and the largest known variance. blur_rad: sigma that is added to
+        every edge's own.
+        """
+        rows, order, bins, largest_var = self._table
+        rows = rows.copy()
         rows[:, 1] += blur_rad**2
         if self.parameters.association == "unknown":
-            rows[:, -1] = marked_landmarks(self.edges, landmark_map)[self._table.order]
-        return replace(self._table, rows=rows, largest_var=self._table.largest_var + blur_rad**2)
+            rows[:, -1] = marked_landmarks(self.edges, landmark_map)[order]
+        return rows, order, bins, largest_var + blur_rad**2
 
     @cached_property
     def _table(self) -> EdgeTable:
@@ -185,7 +178,7 @@ class Frame:
         columns += [1.0 / ends.sigma, MEAN_POLARITY * edges.polarity, edges.landmark_id.astype(np.float64)]
         order = np.argsort(measured, kind="stable")[: known.sum() if identified else None]
         rows = np.column_stack(columns)[order]
-        return EdgeTable(rows, order, bins_of(rows[: known.sum(), 0]), float(variance[known].max(initial=0.0)))
+        return rows, order, bins_of(rows[: known.sum(), 0]), float(variance[known].max(initial=0.0))
 
     @cached_property
     def sight(self) -> tuple[tuple[float, ...], tuple[float, float, float, float]]:

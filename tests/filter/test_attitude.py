@@ -20,7 +20,7 @@ from localiser.filter.height import OFFSETS_M, Height
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters
-from localiser.observation import EdgeObservation, EndOffsets, ObservationParameters
+from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.replay.run import start_of
 
 STATED = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9, back_m=-0.1))
@@ -218,12 +218,12 @@ def test_a_height_that_is_stated_wrong_is_found(off_m: float, seed: int) -> None
     assert np.sqrt((error_m**2).mean()) < 0.01
 
 
-def ends(off_m: float, count: int, hidden: int, rng: np.random.Generator) -> EndOffsets:
+def ends(off_m: float, count: int, hidden: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Ends of landmarks 1 to 5 m ahead, seen from a camera that is off_m higher; the first `hidden` are anywhere."""
     per_height = -1.0 / rng.uniform(1.0, 5.0, count)
     offset = per_height * off_m + 2.0 / 500.0 * rng.standard_normal(count)
     offset[:hidden] = rng.uniform(-0.5, 0.5, hidden)
-    return EndOffsets(offset, per_height)
+    return offset, per_height
 
 
 def test_the_sigma_holds_though_most_ends_are_hidden() -> None:
@@ -231,7 +231,7 @@ def test_the_sigma_holds_though_most_ends_are_hidden() -> None:
     for _ in range(200):
         off_m, height = rng.normal(0.0, 0.03), Height()
         for _ in range(5):
-            height = height.seen(1.0).after(ends(off_m, 20, 14, rng), CAMERA)
+            height = height.seen(1.0).after(*ends(off_m, 20, 14, rng), CAMERA)
         far.append((height.mean_m - off_m) / height.sigma_m)
     assert np.mean(np.abs(far) < 3.0) >= 0.98 and np.std(far) < 1.2
 
@@ -257,7 +257,7 @@ def test_until_it_is_known_the_height_is_weighed_together_with_poses() -> None:
 
 def test_an_image_without_ends_tells_nothing() -> None:
     height = Height().seen(0.5)
-    after = height.after(EndOffsets(np.zeros(0), np.zeros(0)), CAMERA)
+    after = height.after(np.zeros(0), np.zeros(0), CAMERA)
     np.testing.assert_array_equal(after.probability, height.probability)
     assert after.novelty == 0.0 and height.novelty == 0.5 and height.seen(0.9).novelty == 1.0
 
