@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.geometry import Array, wrap_angle
-from localiser.landmarks import LandmarkMap, Quality
+from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
 from localiser.mapping.landmarks import Built, inverse_information, medians, normal_matrix
-from localiser.mapping.loop_closure import visits
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
 from localiser.mapping.tracks import MappingParameters
 
@@ -66,15 +65,24 @@ def _shared(landmark: Index, count: int, heading: Array, pull: Array) -> Array:
 
 _END_SHARE = 0.1  # share of sightings that may reach beyond a landmark's stated end
 _MOST_EVIDENCE = 30.0  # log-odds beyond which nothing changes in what is printed
+_BESIDE_RAD = np.deg2rad(3.0)  # from directions this near to those it was seen from, a landmark is expected to be seen
+_BESIDE_SHARE = 0.15  # likewise nearer or farther
 
 
-def existence(sightings: Sightings, built: Built, sigma: Array, camera: Camera, parameters: MappingParameters) -> Array:
+def existence(
+    sightings: Sightings,
+    built: Built,
+    heights: tuple[Array, Array],
+    cameras: Array,
+    sigma: Array,
+    camera: Camera,
+    parameters: MappingParameters,
+) -> Array:
     """Return the probability (L,) that each landmark exists, against its sightings being unrelated clutter.
 
     log-odds = Σ_seen ln(p N(r; σ²) / λ) + ln(2π √|C| / A) + Σ_missed ln(1 - p): the marginal likelihood of the
     sightings of a landmark that stands anywhere in view (area A), with chance p of being found, over that of clutter
-    of density λ per radian [Blackman, Popoli 1999, ch. 6]. It is missed in images that do not show it, between two that
-    do and are not far apart; in others it may be hidden.
+    of density λ per radian [Blackman, Popoli 1999, ch. 6].
     """
     found = parameters.tracks.found
     landmark = built.of[built.used]
@@ -87,14 +95,43 @@ def existence(sightings: Sightings, built: Built, sigma: Array, camera: Camera, 
     # A sighting that does not fit is no evidence, for or against.
     evidence = np.bincount(landmark, np.maximum(gain, 0.0) * (built.fit.weight > 0.5), len(built))
     volume = np.log(2 * np.pi * np.sqrt(np.linalg.det(built.cov)) / area)
-    visit = visits(landmark, sightings.frame[built.used])
-    _, first, count = np.unique(visit, return_index=True, return_counts=True)
-    last = np.zeros(len(first), dtype=np.int64)
-    np.maximum.at(last, visit, sightings.frame[built.used])
-    missed_of_visit = np.maximum(last - sightings.frame[built.used][first] + 1 - count, 0)
-    missed = np.bincount(landmark[first], missed_of_visit, len(built))
-    odds = evidence + np.minimum(volume, 0.0) + missed * np.log(1 - found)
+    missed = images_expected(sightings, built, heights, cameras, camera, parameters) - built.count
+    odds = evidence + np.minimum(volume, 0.0) + np.maximum(missed, 0) * np.log(1 - found)
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_EVIDENCE, _MOST_EVIDENCE))))
+
+
+def images_expected(
+    sightings: Sightings,
+    built: Built,
+    heights: tuple[Array, Array],
+    cameras: Array,
+    camera: Camera,
+    parameters: MappingParameters,
+) -> Index:
+    """Return how many frames (L,) should show each landmark: from directions and distances like those that did.
+
+    From elsewhere it may be hidden, which is no evidence against it.
+    """
+    landmark = built.of[built.used]
+    heading, range_m = direction_of(built.fit.points[landmark], cameras[sightings.frame[built.used]])
+    seen_from = _views(landmark, heading, range_m)
+    plain = LandmarkMap.from_points(built.fit.points, bottom_m=heights[0], top_m=heights[1])
+    limits = SightParameters(range_max_m=parameters.range_max_m, length_min_px=30.0, margin_px=-10.0)
+    count = np.zeros(len(built), dtype=np.int64)
+    at_once = 1 if sightings.mounts else 256
+    for start in range(0, sightings.frames, at_once):
+        pairs = sight(sightings.camera_at(start, camera), cameras[start : start + at_once], plain, limits)
+        heading, range_m = direction_of(built.fit.points[pairs.landmark], cameras[start + pairs.pose])
+        known = np.isin(_views(pairs.landmark, heading, range_m), seen_from)
+        count += np.bincount(pairs.landmark[known], minlength=len(built))
+    return np.maximum(count, built.count)
+
+
+def _views(landmark: Index, heading: Array, range_m: Array) -> Index:
+    """Return one number (K,) for views of one landmark from nearly the same direction and distance."""
+    direction = np.floor((heading % (2 * np.pi)) / (2 * _BESIDE_RAD)).astype(np.int64)
+    distance = np.floor(np.log(np.maximum(range_m, 0.05)) / (2 * _BESIDE_SHARE)).astype(np.int64)
+    return np.asarray((landmark * 1000 + direction) * 1000 + distance + 500)
 
 
 def height_span(sightings: Sightings, built: Built, cameras: Array, camera: Camera) -> tuple[Array, Array]:
@@ -160,7 +197,7 @@ def landmark_map_of(
     """
     heights = height_span(sightings, built, cameras, camera)
     if probability is None:
-        probability = existence(sightings, built, sigma, camera, parameters)
+        probability = existence(sightings, built, heights, cameras, sigma, camera, parameters)
     whole = LandmarkMap.from_points(built.fit.points, name=name, bottom_m=heights[0], top_m=heights[1], source=source)
     profile = medians(built.of[built.used], len(built), sightings.profile[built.used])
     quality = Quality(built.count.astype(np.float64), built.parallax, probability, profile)
