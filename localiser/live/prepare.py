@@ -21,9 +21,9 @@ from localiser.filter import Start
 from localiser.landmarks import LandmarkMap
 from localiser.live.clock import Clocks, SimulatedTime
 from localiser.live.inbox import JPEG_QUALITY, Arrival, CameraSource, Inbox, check_outputs, input_topics, topic_for
+from localiser.live.loop import LiveRun
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import JsonLines, Outputs, Published, Publisher, Recording
-from localiser.live.run import LiveRun
 from localiser.live.tracker import Checkpoints, Resumed, Tracker
 from localiser.live.transport import Reply, Transport, network_of, open_transport, prefix_of
 from localiser.localiser import Localiser, check_settings

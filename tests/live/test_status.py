@@ -24,7 +24,7 @@ from localiser.live.monitor import Monitor
 from localiser.live.prepare import advice
 from localiser.live.stand_in import FIXED, IMAGE, INFO, MOVING, WHEELS, Passage, StandIn
 from localiser.storage import open_log
-from localiser.storage.bags.frames import FrameTree, mount_of
+from localiser.storage.bags.transforms import FrameTree, mount_of
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from short_log import CORRIDOR, FRAMES, Localiser, cut_log
 from localiser.geometry import compose
 from localiser.storage import open_log, read_track
 from localiser.storage.bags import stamp_of, typestore
-from localiser.storage.bags.frames import FrameTree
+from localiser.storage.bags.transforms import FrameTree
 
 
 @pytest.fixture(scope="module")

@@ -18,10 +18,10 @@ from localiser.landmarks import LandmarkMap
 from localiser.live import TOPICS, LiveOptions
 from localiser.live.clock import Clocks
 from localiser.live.inbox import Arrival, Inbox
+from localiser.live.loop import LiveRun
 from localiser.live.monitor import Monitor
 from localiser.live.outputs import Outputs, Published, Publisher
 from localiser.live.prepare import start_recording
-from localiser.live.run import LiveRun
 from localiser.live.tracker import Resumed, Tracker
 from localiser.localiser import Localiser
 from localiser.ros import outputs_named

@@ -3,10 +3,10 @@
 from localiser.storage.bags.bag import CAMERA_TOPIC, DECISIONS_TOPIC, LOG_TOPIC, MAP_TOPIC, STATE_TOPIC, Bag
 from localiser.storage.bags.camera_finder import CameraFinder
 from localiser.storage.bags.database import BagRecorder
-from localiser.storage.bags.frames import check_start, floor_pose, plain_frame, stamp_of, start_of_message
 from localiser.storage.bags.messages import MAP, ODOM, OPTICAL, Messages, grey_image, header, image_file, typestore
 from localiser.storage.bags.read import BagReader
 from localiser.storage.bags.records import RosType
+from localiser.storage.bags.transforms import check_start, floor_pose, plain_frame, stamp_of, start_of_message
 from localiser.storage.bags.write import (
     FILE_KINDS,
     KINDS,

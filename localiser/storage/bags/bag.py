@@ -18,7 +18,6 @@ from typing import Any
 from localiser.documents import nearest, open_regular, parse, read_text, require_regular
 from localiser.errors import InputError, LocaliserError
 from localiser.storage.bags.database import BESIDE, MAGIC, Database, beside, restored_copy
-from localiser.storage.bags.frames import stamp_of
 from localiser.storage.bags.messages import typestore
 from localiser.storage.bags.records import (
     Allowance,
@@ -30,6 +29,7 @@ from localiser.storage.bags.records import (
     records_of,
     zstd,
 )
+from localiser.storage.bags.transforms import stamp_of
 from localiser.storage.files import inside
 
 METADATA_FILE = "metadata.yaml"

@@ -21,7 +21,8 @@ from localiser.documents import Document, Place
 from localiser.errors import InputError
 from localiser.geometry import Array
 from localiser.motion import up_of
-from localiser.storage.bags.frames import (
+from localiser.storage.bags.messages import stated_size
+from localiser.storage.bags.transforms import (
     MOST_APART_S,
     MOST_FRAMES,
     MOST_FRAMES_LIVE,
@@ -35,7 +36,6 @@ from localiser.storage.bags.frames import (
     rounded_angle,
     stamp_of,
 )
-from localiser.storage.bags.messages import stated_size
 from localiser.storage.cameras import camera_from_document, ros_keys
 
 _RECTIFIED = {"rect", "rectified", "undistorted"}  # words of names of images with their lens distortion undone

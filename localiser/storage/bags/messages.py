@@ -13,8 +13,8 @@ import numpy as np
 from localiser.camera import Camera, MountSigma
 from localiser.geometry import Array, ros_cov_from_cov, ros_from_pose
 from localiser.image_files import eight_bits, measure
-from localiser.storage.bags.frames import FLOOR_ROWS, base_from_optical, quaternion_from_rotation
 from localiser.storage.bags.records import RosType
+from localiser.storage.bags.transforms import FLOOR_ROWS, base_from_optical, quaternion_from_rotation
 from localiser.storage.images import MAX_IMAGE_BYTES, Image, encode_image, suffix_of
 
 if TYPE_CHECKING:

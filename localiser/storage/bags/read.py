@@ -38,8 +38,8 @@ from localiser.storage.bags.bag import (
     speaks_of_depth,
 )
 from localiser.storage.bags.camera_finder import CameraFinder
-from localiser.storage.bags.frames import LostPoseError, floor_pose, plain_frame, stamp_of
 from localiser.storage.bags.messages import image_file, shows_light
+from localiser.storage.bags.transforms import LostPoseError, floor_pose, plain_frame, stamp_of
 from localiser.storage.bags.write import FORMAT, Decisions, Label, document_of, with_label, with_sigma
 from localiser.storage.cameras import camera_from_document, read_camera
 from localiser.storage.folder import start_from_file

@@ -21,8 +21,8 @@ from localiser.errors import InputError, OutputError
 from localiser.filter import Anywhere, Odometry, Start
 from localiser.storage.bags.bag import IMU_TOPIC, LOG_TOPIC, MAP_TOPIC
 from localiser.storage.bags.database import latched_quality
-from localiser.storage.bags.frames import check_start
 from localiser.storage.bags.messages import MAP, ODOM, Messages
+from localiser.storage.bags.transforms import check_start
 from localiser.storage.cameras import FileModel, ShutterFile, shutter_data, shutter_of
 from localiser.storage.files import require_new_file
 from localiser.storage.folder import StartFile, start_data

@@ -19,7 +19,7 @@ from localiser.camera import Mount
 from localiser.errors import InputError
 from localiser.storage import open_log
 from localiser.storage.bags import Messages, RosType
-from localiser.storage.bags.frames import (
+from localiser.storage.bags.transforms import (
     MOST_STEPS,
     FrameTree,
     base_from_optical,
