@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,11 +14,11 @@ from localiser.commands.options import ConfigFile, Overrides, is_quiet, progress
 from localiser.errors import InputError, LocaliserError, RunEndedEarlyError
 
 if TYPE_CHECKING:
-    from localiser.camera import Camera, Mount
+    from localiser.camera import Camera
     from localiser.config import Config
     from localiser.edges import Edges
-    from localiser.geometry import Array, Twist
-    from localiser.storage import Image
+    from localiser.geometry import Array, Trajectory
+    from localiser.storage import Image, ImageEvent
 
 EPILOG = """Examples:
 
@@ -72,12 +72,16 @@ def edges(
 
     from localiser.config import in_force, read_config, to_yaml
     from localiser.replay import Stop, asked_to_stop
-    from localiser.storage import write_camera, write_text
+    from localiser.storage import RunFolder, output_errors, require_new, write_camera, write_text
 
     settings = read_config(config, with_options(overrides, edges__detector=detector))
-    taken_by, taken = _inputs(images, camera)
+    taken_by, taken, odometry = _inputs(images, camera)
     taken[0].load()  # a wrong camera is an error before a folder is made
-    folder = _new_folder(out)
+    if out is not None:
+        require_new(out)
+        with output_errors(out):
+            out.mkdir(parents=True, exist_ok=True)
+    folder = out or RunFolder.create(Path("results"), "edges").path
     write_camera(taken_by, folder / "camera.yaml")
     write_text(folder / "config.yaml", to_yaml(in_force(settings)))
     counts: list[int] = []
@@ -87,7 +91,7 @@ def edges(
             for number, one in enumerate(taken):
                 if asked.is_set():
                     raise KeyboardInterrupt
-                counts.append(_find_in(one, number, taken_by, settings, folder, pictures))
+                counts.append(_find_in(one, number, taken_by, odometry, settings, folder, pictures))
                 advance()
     except (KeyboardInterrupt, LocaliserError) as error:
         reason, exit_code = "stopped", asked.exit_code
@@ -96,7 +100,7 @@ def edges(
         done = f"The run ended after {len(counts)} of {len(taken)} images"
         raise RunEndedEarlyError(f"{reason}. {done}; what was done is in {folder}", exit_code) from error
     if not is_quiet():
-        where = taken[0].image if len(counts) == 1 else f"{len(counts)} images, {np.median(counts):g} each (median)"
+        where = taken[0].name if len(counts) == 1 else f"{len(counts)} images, {np.median(counts):g} each (median)"
         typer.echo(f"{sum(counts)} vertical edges in {where}")
         typer.echo(f"Results in {folder}: edges.csv{'; a picture of each image' if pictures else ''}.")
 
@@ -104,26 +108,13 @@ def edges(
 # -- what is looked at ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Taken:
-    """An image to find edges in. image: its file, as it was named.
-
-    t_ns, twist, mount: its time, the robot's motion and the camera's mount, in a log.
-    """
-
-    image: str
-    load: Callable[[], Image]
-    t_ns: int | None = None
-    twist: Twist | None = None
-    mount: Mount | None = None
-
-
-def _inputs(paths: Sequence[Path], camera_file: Path | None) -> tuple[Camera, list[Taken]]:
-    """Return the camera and the images: files that the camera of `camera_file` took, or those of one log folder.
+def _inputs(paths: Sequence[Path], camera_file: Path | None) -> tuple[Camera, list[ImageEvent], Trajectory | None]:
+    """Return the camera, the images, and the odometry of a log: of files, or of one log folder.
 
     A camera file replaces the log's own camera. Raises InputError.
     """
-    from localiser.storage import FolderReader, open_log, read_camera, read_image
+    from localiser.documents import plain_name
+    from localiser.storage import FolderReader, ImageEvent, open_log, read_camera, read_image
 
     logs = [path for path in paths if FolderReader().recognises(path)]
     if logs and len(paths) > 1:
@@ -137,33 +128,26 @@ def _inputs(paths: Sequence[Path], camera_file: Path | None) -> tuple[Camera, li
             found = f"one of {camera.width}×{camera.height}"
             expected = f"a camera of {log.camera.width}×{log.camera.height} pixels"
             raise InputError(f"expected {expected}, found {found}", field="--camera")
-        known = camera or log.camera
-        return known, [
-            Taken(image.name, image.load, image.t_ns, known.twist_at(log.odometry, image.t_ns), image.mount)
-            for image in log.images
-        ]
+        return camera or log.camera, log.images, log.odometry
     if camera is None:
         raise InputError("expected --camera FILE: what took the images", path=paths[0])
     size = (camera.width, camera.height)
-    return camera, [Taken(str(path), lambda path=path: read_image(path, size)) for path in paths]  # type: ignore[misc]
-
-
-def _new_folder(out: Path | None) -> Path:
-    """Return the folder of the results, made. Raises OutputError when it holds something already."""
-    from localiser.storage import RunFolder, output_errors, require_new
-
-    if out is None:
-        return RunFolder.create(Path("results"), "edges").path
-    require_new(out)
-    with output_errors(out):
-        out.mkdir(parents=True, exist_ok=True)
-    return out
+    loads = ((path, partial(read_image, path, size)) for path in paths)
+    return camera, [ImageEvent(0, plain_name(str(path)), load, path.read_bytes) for path, load in loads], None
 
 
 # -- what is found ----------------------------------------------------------------------------------------------------
 
 
-def _find_in(taken: Taken, number: int, camera: Camera, settings: Config, folder: Path, pictures: bool) -> int:
+def _find_in(
+    taken: ImageEvent,
+    number: int,
+    camera: Camera,
+    odometry: Trajectory | None,
+    settings: Config,
+    folder: Path,
+    pictures: bool,
+) -> int:
     """Append the edges of an image, from left to right, to edges.csv, and draw them; return how many there are."""
     import numpy as np
 
@@ -171,9 +155,10 @@ def _find_in(taken: Taken, number: int, camera: Camera, settings: Config, folder
     from localiser.storage import csv_of, encode_image, output_errors, safe_name, write_bytes
 
     image = taken.load()
-    found = find_edges(image, camera, settings.edges, mount=taken.mount, twist=taken.twist)
+    twist = None if odometry is None else camera.twist_at(odometry, taken.t_ns)
+    found = find_edges(image, camera, settings.edges, mount=taken.mount, twist=twist)
     found = found.take(np.argsort(found.bearing, kind="stable"))
-    about = {"image": taken.image, **({} if taken.t_ns is None else {"t_ns": taken.t_ns})}
+    about = {"image": taken.name} | ({} if odometry is None else {"t_ns": str(taken.t_ns)})
     about["detector"] = settings.edges.detector
     path = folder / "edges.csv"
     with output_errors(path):
@@ -181,7 +166,7 @@ def _find_in(taken: Taken, number: int, camera: Camera, settings: Config, folder
         with path.open("a", encoding="utf-8", newline="") as file:
             file.write(csv_of([*head, *([*about.values(), *row] for row in rows_of(found))]))
     if pictures:
-        name = f"{number + 1:04d}_{safe_name(Path(taken.image).stem)}.png"
+        name = f"{number + 1:04d}_{safe_name(Path(taken.name).stem)}.png"
         write_bytes(folder / name, encode_image(picture(image, found, camera), ".png", 100))
     return len(found)
 
