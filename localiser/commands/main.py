@@ -10,6 +10,7 @@ import traceback
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -21,7 +22,7 @@ from localiser.commands.camera import camera_app
 from localiser.commands.live import live_app
 from localiser.commands.map import map_app
 from localiser.commands.odometry import odometry_app
-from localiser.commands.options import ConfigFile, Overrides, be_quiet, is_quiet
+from localiser.commands.options import ConfigFile, Overrides, be_quiet, is_quiet, warn
 from localiser.commands.pose import pose_app
 from localiser.errors import (
     InputError,
@@ -171,7 +172,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):  # a terminal of ASCII alone, and names of files that are no text
             stream.reconfigure(errors="replace")
     warnings.simplefilter("always", InputWarning)
-    warnings.showwarning = _shown_by(warnings.showwarning)
+    warnings.showwarning = partial(_show_warning, warnings.showwarning)
     try:
         _check_options(arguments)
         try:
@@ -188,18 +189,12 @@ def main() -> None:
         raise SystemExit(getattr(error, "exit_code", LocaliserError.exit_code)) from None
 
 
-def _shown_by(usual: Callable[..., None]) -> Callable[..., None]:
-    """Return what prints warnings about files as one line, and others as before."""
-
-    def show(message: Warning | str, *where: Any, **how: Any) -> None:
-        if isinstance(message, InputNote) and is_quiet():
-            return
-        if isinstance(message, InputWarning):
-            typer.secho(one_paragraph(str(message)), fg="yellow", err=True)
-        else:
-            usual(message, *where, **how)
-
-    return show
+def _show_warning(usual: Callable[..., None], message: Warning | str, *where: Any, **how: Any) -> None:
+    """Print a warning about a file as one line; hand any other to what prints them usually."""
+    if not isinstance(message, InputWarning):
+        usual(message, *where, **how)
+    elif not (isinstance(message, InputNote) and is_quiet()):
+        warn(one_paragraph(str(message)))
 
 
 def _flush() -> None:

@@ -82,11 +82,9 @@ def runs_in(folder: Path) -> str:
     """Return that a folder has results of replays, with the newest first; "" where it has none."""
     runs = [path.parent for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}trajectory.csv")]
     runs = [run for run in runs if not run.is_symlink()]
-    if not runs:
-        return ""
     runs.sort(key=lambda run: run.stat().st_mtime_ns, reverse=True)
     more = f" and {len(runs) - _MOST_RUNS} more" if len(runs) > _MOST_RUNS else ""
-    return f"results of replay, the newest first: {', '.join(map(str, runs[:_MOST_RUNS]))}{more}"
+    return f"results of replay, the newest first: {', '.join(map(str, runs[:_MOST_RUNS]))}{more}" if runs else ""
 
 
 def refuse_other(path: Path, expected: str, hint: str = "") -> None:

@@ -176,7 +176,9 @@ def _site_of(document: Document, folder: Path | None) -> Site:
         key = ("maps", number)
         if isinstance(one, dict):
             places = {rest[2:]: place for rest, place in document.places.items() if rest[:2] == key}
-            maps.append(_one_map(Document(one, places)))
+            if _is_site(part := Document(one, places)):
+                raise document.error((*key, "format"), f"expected {FORMAT!r}, found a list of maps")
+            maps.append(_one_map(part))
             continue
         try:
             if folder is None:

@@ -73,7 +73,6 @@ def test_evaluate_reads_what_replay_wrote(localiser: Localiser, log: Path, tmp_p
     table = {line[0]: line[1:] for line in lines if line}
     assert table["corridor/1"][:2] == ["0", f"{rmse[0]:.3f}"]
     assert table["corridor/2"][:2] == ["1", f"{rmse[1]:.3f}"]
-    assert table["worst"][0] == f"{max(rmse):.3f}"
     assert localiser("evaluate", *runs, tmp_path / "out" / "corridor" / "latest").out == result.out, "the same run"
 
     latest = localiser("evaluate", tmp_path / "out" / "corridor")

@@ -19,7 +19,7 @@ from localiser.storage.maps import MOST_LANDMARKS, map_data, map_from_document
 coordinate = st.floats(-1e6, 1e6)
 key = st.text("abcdefgh_", min_size=2, max_size=6).map(lambda name: f"new_{name}")
 extra = st.dictionaries(
-    key, st.integers() | coordinate | st.text(max_size=5) | st.lists(coordinate, max_size=2), max_size=2
+    key, st.integers(-(2**62), 2**62) | coordinate | st.text(max_size=5) | st.lists(coordinate, max_size=2), max_size=2
 )
 
 
