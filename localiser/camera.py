@@ -224,10 +224,8 @@ class Camera:
         sides = self.upright_from_pixels(self.border_px())
         for _ in range(quarters := round(self.mount.roll_rad / (np.pi / 2)) % 4):
             sides = sides[[2, 3, 1, 0]]  # the left is the top, the top is the right
-        (top, bottom, left, right), size = (
-            sides,
-            np.array([self.width, self.height])[:: 1 - quarters % 2 * 2],
-        )
+        top, bottom, left, right = sides
+        size = np.array([self.width, self.height])[:: 1 - quarters % 2 * 2]
         low, high = np.array([[left[:, 0].max(), bottom[:, 1].max()], [right[:, 0].min(), top[:, 1].min()]])
         middle = (sides.min(axis=(0, 1)) + sides.max(axis=(0, 1))) / 2
         reach = np.abs(sides - middle) / size

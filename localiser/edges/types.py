@@ -169,16 +169,9 @@ class BearingSensor:
         # On the horizon row e = tan(tilt), so tan b = a cos(tilt).
         focal = (width - 1) / 2 * math.cos(tilt) / math.tan(math.radians(self.half_view_deg))
         middle = (_STRIP_ROWS - 1) / 2
-        return Camera(
-            width=width,
-            height=_STRIP_ROWS,
-            fx=focal,
-            fy=focal,
-            cx=(width - 1) / 2,
-            cy=middle + focal * math.tan(tilt),
-            mount=Mount(tilt_rad=tilt, height_m=self.height_m),
-            name=name,
-        )
+        mount = Mount(tilt_rad=tilt, height_m=self.height_m)
+        cy = middle + focal * math.tan(tilt)
+        return Camera(width, _STRIP_ROWS, focal, focal, (width - 1) / 2, cy, mount, name=name)
 
 
 def complete(

@@ -85,8 +85,10 @@ def compose(pose: ArrayLike, delta: ArrayLike) -> Array:
         (x, z, heading), (right, back, turn) = pose.ravel().tolist(), delta.tolist()
         cos, sin, turned = math.cos(heading), math.sin(heading), (heading + turn + math.pi) % (2 * math.pi) - math.pi
         return np.array([x + cos * right + sin * back, z - sin * right + cos * back, turned]).reshape(pose.shape)
-    heading = wrap_angle(pose[..., 2] + delta[..., 2])
-    return np.concatenate([map_from_robot(pose, delta[..., :2]), heading[..., None]], axis=-1)
+    cos, sin, turned = np.cos(pose[..., 2]), np.sin(pose[..., 2]), wrap_angle(pose[..., 2] + delta[..., 2])
+    right, back = delta[..., 0], delta[..., 1]
+    moved = pose[..., 0] + cos * right + sin * back, pose[..., 1] - sin * right + cos * back
+    return np.stack([*moved, turned], axis=-1)
 
 
 def between(start: ArrayLike, end: ArrayLike) -> Array:

@@ -141,16 +141,13 @@ def image_heights(camera: Camera, ahead_m: Array, bottom_m: Array, top_m: Array)
     (nan) the edge goes on for ever. An end beyond the image plane is infinitely high or low.
     """
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
-
-    def height(end_m: Array, unknown: float) -> Array:
-        above_camera_m = end_m - camera.mount.height_m
-        depth = ahead_m * c - above_camera_m * s
-        with np.errstate(divide="ignore", invalid="ignore"):
-            e = (above_camera_m * c + ahead_m * s) / depth
-        e = np.where(depth > 0, e, np.copysign(np.inf, above_camera_m))
-        return np.where(np.isnan(above_camera_m), unknown, e)
-
-    return height(bottom_m, -np.inf), height(top_m, np.inf)
+    above_camera_m = np.stack([bottom_m, top_m]) - camera.mount.height_m
+    depth = ahead_m * c - above_camera_m * s
+    with np.errstate(divide="ignore", invalid="ignore"):
+        e = (above_camera_m * c + ahead_m * s) / depth
+    e = np.where(depth > 0, e, np.copysign(np.inf, above_camera_m))
+    bottom, top = np.isnan(above_camera_m)
+    return np.where(bottom, -np.inf, e[0]), np.where(top, np.inf, e[1])
 
 
 def widest_tangent(camera: Camera, parameters: SightParameters) -> float:

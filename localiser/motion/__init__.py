@@ -12,5 +12,4 @@ from localiser.motion.odometry_model import (
     direction_of_travel,
     linearised,
     noise_variances,
-    wheel_cov,
 )

@@ -90,8 +90,11 @@ class MotionParameters:
         return forgotten(projected(moved) if step.by_constant_error.any() else moved, increment.path_m, self.bias)
 
     def covariance(self, increment: Increment) -> Array:
-        """See `wheel_cov`."""
-        return wheel_cov(increment, self)
+        """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
+        _, from_robot, noise, effects = _step_of(increment, self)
+        by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
+        doubt = by_constant_error @ self.bias.cov[:-1, :-1] @ by_constant_error.T
+        return np.asarray(from_robot.T @ (noise + doubt) @ from_robot)
 
     def at_start(self, particles: Particles, rng: np.random.Generator) -> Particles:
         """See `constant_errors.at_start`."""
@@ -170,14 +173,14 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
     if increment.cov.any():
         noise = np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
         return ahead_m, from_robot, noise, np.zeros((len(CONSTANT_ERRORS), 3))
-    effects = {
-        "distance_scale": (ahead_m, 0.0, 0.0),
-        "turn_scale": (0.0, ahead_m * turn / 2, turn),
-        "veer": (0.0, ahead_m * ahead_m / 2, ahead_m),
-        "delay": from_robot @ increment.by_delay,
-        CAMERA_YAW: (0.0, -ahead_m, 0.0),
-    }
-    return ahead_m, from_robot, noise, np.array([effects[name] for name in CONSTANT_ERRORS])
+    effects = [
+        (ahead_m, 0.0, 0.0),  # of the scale of distances
+        (0.0, ahead_m * turn / 2, turn),  # of turns
+        (0.0, ahead_m * ahead_m / 2, ahead_m),  # of the veer
+        from_robot @ increment.by_delay,
+        (0.0, -ahead_m, 0.0),  # of the camera's yaw
+    ]
+    return ahead_m, from_robot, noise, np.array(effects)
 
 
 def linearised(pose: Array, increment: Increment, parameters: MotionParameters) -> tuple[Array, Array]:
@@ -191,15 +194,6 @@ def linearised(pose: Array, increment: Increment, parameters: MotionParameters) 
     jac_pose[:2, 2] = [-sin * right + cos * backward, -cos * right - sin * backward]
     to_map = _map_from_step(float(pose[2]), increment)
     return jac_pose, np.asarray(to_map @ _step_of(increment, parameters)[2] @ to_map.T)
-
-
-@lru_cache(maxsize=64)
-def wheel_cov(increment: Increment, parameters: MotionParameters) -> Array:
-    """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
-    _, from_robot, noise, effects = _step_of(increment, parameters)
-    by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
-    doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
-    return np.asarray(from_robot.T @ (noise + doubt) @ from_robot)
 
 
 def _in_map(steps: Array, cos: Array, sin: Array) -> Array:

@@ -81,7 +81,7 @@ class Estimate:
     def pose_as_seen(self) -> Array:
         """Mean pose (3,), its heading turned by the camera's own yaw: from where a camera without it sees the same."""
         yaw = self.mean[self.names.index(CAMERA_YAW)] if CAMERA_YAW in self.names else 0.0
-        return np.asarray(self.pose + np.array([0.0, 0.0, yaw]))
+        return np.asarray(self.mean[:3] + np.array([0.0, 0.0, yaw]))
 
     @property
     def pose_cov(self) -> Array:
