@@ -1,10 +1,9 @@
 """The tables of a batch, and its comparison with an earlier one: is a figure worse than chance explains?
 
-Each pair is one log with one seed. Errors are compared by their ratio, shares by their difference, so that positive is
-always worse. A figure is compared for each log over its seeds, and for all logs together over the logs' means, because
-runs of one log are not independent of each other. The differences are taken as normal with unknown variance (Student's
-t). Many comparisons are made at once, and Holm's procedure corrects for that: the probability of any false alarm among
-all of them is at most 5 % [Holm 1979].
+Errors are compared by their ratio, shares by their difference, so that positive is always worse: for each log over its
+seeds, and for all logs together over the logs' means, because runs of one log are not independent of each other.
+Differences are taken as normal with unknown variance (Student's t). Holm's procedure corrects for the number of
+comparisons: the probability of any false alarm among all of them is at most 5 % [Holm 1979].
 """
 
 from __future__ import annotations

@@ -4,11 +4,9 @@ A pair of images shows how far the robot turned between them. The wheels report 
 
     turn by edges = (1 + scale) · (ψ(t₂ - offset) - ψ(t₁ - offset)) + veer · distance + noise
 
-with ψ the heading by the wheels. Offsets on a grid are compared by how well they explain all pairs. Scale and veer are
-fitted for each, within their usual tolerance. How noisy the wheels are is not known, so a grid of values is averaged
-over. Noise is Student's t, so that a slipping wheel or a misled pair decides nothing. The posterior on the grid gives
-mean and sigma; where nothing turns it stays as wide as the prior. The scatter of the results with each part of the
-drive left out in turn is added (the delete-a-group jackknife [Efron, Tibshirani 1993, chapter 11]).
+with ψ the heading by the wheels. For each offset of a grid, scale and veer are fitted within their usual tolerance, and
+the noise of the wheels is averaged over. It is Student's t, so that a slipping wheel decides nothing. The scatter of
+the results without each part of the drive is added (the delete-a-group jackknife [Efron, Tibshirani 1993]).
 """
 
 from __future__ import annotations

@@ -268,21 +268,16 @@ def _with_bias(motion: MotionParameters, constants: Array, sigmas: Array) -> Mot
 
 
 # -- the path of a finished run, smoothed -----------------------------------------------------------------------------
-# Smooth the path of a finished run: every pose by what came after it too (Rauch, Tung, Striebel 1965).
-#
-#     gain = P_k Fᵀ (F P_k Fᵀ + Q)⁻¹
-#     x_k ← x_k + gain (x_{k+1} - f(x_k)),    P_k ← P_k + gain (P_{k+1} - F P_k Fᵀ - Q) gainᵀ
-#
-# with f the motion by odometry between two images, F its derivative, Q its noise, and x, P poses and covariances of the
-# filter. The result depends less on the odometry than the filter's path: errors that came up late are corrected.
 
 
 def smooth_path(
     poses: Array, covs: Array, increments: Sequence[Increment], motion: MotionParameters
 ) -> tuple[Array, Array]:
-    """Return poses (T, 3) and covariances (T, 3, 3) of a run with what came later.
+    """Return poses (T, 3) and covariances (T, 3, 3) of a run with what came later [Rauch, Tung, Striebel 1965].
 
-    increments: (T - 1) motions by odometry, from each image to the next.
+    increments: (T - 1) motions by odometry, from each image to the next. With F the derivative of a motion and Q its
+    noise: gain = P_k Fᵀ (F P_k Fᵀ + Q)⁻¹, x_k ← x_k + gain (x_{k+1} - f(x_k)) and
+    P_k ← P_k + gain (P_{k+1} - F P_k Fᵀ - Q) gainᵀ.
     """
     poses, covs = poses.copy(), covs.copy()
     for k in range(len(poses) - 2, -1, -1):

@@ -24,7 +24,6 @@ from localiser.landmarks import LandmarkMap, landmark_ends, predicted_lines
 
 APART_NS = 3_000_000_000
 MOST_OF_A_KIND = 2
-FEWEST_EDGES = 5  # for how few of them match to say something
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,18 +53,6 @@ def position_sigma_m(frame: LocatedFrame) -> float:
     return float(np.sqrt(np.trace(frame.located.estimate.pose_cov[:2, :2])))
 
 
-def residuals_over(frame: LocatedFrame) -> float:
-    """Return by how many standard deviations the squared residuals exceed what is expected."""
-    found, expected, variance = residual_sums(frame.matches)
-    return float((found - expected) / np.sqrt(variance))
-
-
-def unmatched(frame: LocatedFrame) -> float:
-    """Return the fraction of edges without a landmark, nan where there are few edges."""
-    landmark = frame.matches.landmark
-    return float((landmark < 0).mean()) if len(landmark) >= FEWEST_EDGES else float("nan")
-
-
 def while_found(score: Callable[[LocatedFrame], float]) -> Callable[[LocatedFrame], float]:
     """Return a score that says nothing of a pose that is no ordinary one."""
     return lambda frame: score(frame) if frame.is_found else float("nan")
@@ -76,8 +63,6 @@ SCORES: dict[str, Callable[[LocatedFrame], float]] = {
     "largest error": while_found(error_m),
     "least sure": lambda frame: 1.0 - float(frame.located.p_correct),
     "largest uncertainty": while_found(position_sigma_m),
-    "largest residuals": residuals_over,
-    "fewest edges matched": unmatched,
 }
 """What an image can be the worst in, and its score: the larger the worse, nan where it says nothing."""
 

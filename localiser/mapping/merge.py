@@ -40,15 +40,13 @@ class Alignment:
     residual_m: Array
     alternative: float
 
-    def apply(self, points: Array) -> Array:
-        """Return points (K, 2) of the second map in the first."""
-        return map_from_robot(self.pose, points)
-
     def moved(self, second: LandmarkMap) -> LandmarkMap:
         """Return the second map in the frame of the first; heights are left as they are."""
         turn = map_from_robot(np.array([0.0, 0.0, self.pose[2]]), np.eye(2)).T
         header = {name: value for name, value in second.header.items() if name != DRIVE}  # it began in another frame
-        return replace(second, points=self.apply(second.points), cov=turn @ second.cov @ turn.T, header=header)
+        return replace(
+            second, points=map_from_robot(self.pose, second.points), cov=turn @ second.cov @ turn.T, header=header
+        )
 
 
 def align(first: Array, second: Array, within_m: float) -> Alignment:

@@ -1,9 +1,8 @@
 """Quality of landmarks: the probability that each exists, how high it reaches, how it looks, errors that are shared.
 
-Some errors of places no number of images averages out, because they change with the direction of view: the two sides
-of a post, its bevel, and the blur of its shadow. From one side an edge is seen some millimetres beside where it is seen
-from another side. So images from nearly one direction share an error across their line of sight. Seen from directions
-that are few degrees apart, it is the distance that suffers: 3 mm more over 10° move it by 2 cm.
+From one side, an edge is seen some millimetres beside where it is seen from another side. So images from nearly one
+direction share an error across their line of sight. Seen from directions that are few degrees apart, it is the distance
+that suffers: 3 mm more over 10° move it by 2 cm.
 """
 
 from __future__ import annotations

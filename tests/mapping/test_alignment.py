@@ -49,7 +49,7 @@ def test_maps_are_aligned_though_much_differs(seed: int) -> None:
     right = [kept[j] == i for i, j in found.pairs if j < 27]
     assert sum(right) >= 24
     assert found.alternative < 0.7
-    assert found.apply(second[:27]) == pytest.approx(first[kept], abs=0.2)
+    assert map_from_robot(found.pose, second[:27]) == pytest.approx(first[kept], abs=0.2)
 
 
 def test_a_building_that_looks_like_itself_is_told() -> None:
