@@ -146,14 +146,14 @@ def test_a_faint_step_in_strong_noise_and_motion_blur_is_found():
     assert len(find_edges(image, camera, EdgeParameters(detector="lsd"))) < len(bearings)
 
 
-@pytest.mark.parametrize("motion_px", [9, 15, 25])
-def test_an_edge_smeared_by_motion_is_one_edge_with_an_honest_sigma(motion_px):
+@pytest.mark.parametrize(("motion_px", "blur_px"), [(9, 0), (15, 0), (25, 0), (0, 1.0), (0, 2.0), (0, 3.0)])
+def test_edges_smeared_by_motion_or_out_of_focus_are_one_each_with_an_honest_sigma(motion_px, blur_px):
     camera = camera_of(k1=-0.2)
     bearings = np.array([-19.0, -6.0, 7.0, 18.0])
     image = wall_image(camera, bearings, [90.0, 140.0, 80.0, 150.0, 100.0]).astype(np.float64)
+    image = cv2.blur(image, (motion_px, 1)) if motion_px else cv2.GaussianBlur(image, (0, 0), blur_px)
     noise = np.random.default_rng(2).normal(0, 4, image.shape)
-    image = np.clip(np.rint(cv2.blur(image, (motion_px, 1)) + noise), 0, 255).astype(np.uint8)
-    edges = find_edges(image, camera, PARAMETERS)
+    edges = find_edges(np.clip(np.rint(image + noise), 0, 255).astype(np.uint8), camera, PARAMETERS)
     error = np.sort(edges.bearing) - np.deg2rad(bearings)
     assert np.all(np.abs(error) < np.deg2rad(0.08))
     assert np.all(np.abs(error) < 3.5 * edges.bearing_sigma[np.argsort(edges.bearing)])
@@ -250,18 +250,6 @@ def test_soft_shading_among_sharp_edges_is_no_edge(width_px, found):
     image = wall_image(camera, [-12.0, 0.0, 12.0], [60.0, 150.0, 80.0, 160.0], noise_sigma=1.0)
     edges = find_edges(shaded(image, 0.0, width_px, camera), camera, PARAMETERS)
     assert len(edges) == found
-
-
-@pytest.mark.parametrize("blur_px", [1.0, 2.0, 3.0])
-def test_edges_of_an_image_out_of_focus_are_edges(blur_px):
-    camera = camera_of()
-    bearings = [-20.0, -12.0, 0.0, 12.0, 20.0]
-    image = wall_image(camera, bearings, [60.0, 150.0, 80.0, 160.0, 90.0, 150.0]).astype(np.float64)
-    image = cv2.GaussianBlur(image, (0, 0), blur_px) + np.random.default_rng(0).normal(0, 3, image.shape)
-    edges = find_edges(np.clip(np.rint(image), 0, 255).astype(np.uint8), camera, PARAMETERS)
-    assert len(edges) == len(bearings)
-    error = np.sort(edges.bearing) - np.deg2rad(bearings)
-    assert np.all(np.abs(error) < 3.5 * edges.bearing_sigma[np.argsort(edges.bearing)])
 
 
 @pytest.mark.parametrize("shape", [(3, 9), (6, 40), (12, 16)])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry
+from live_feed import BEGIN_NS, LOG, MAKE, Feed, arrival, camera, drive, image, odometry, stated
 from short_log import Localiser
 
 from localiser.config import read_config
@@ -152,8 +152,7 @@ def test_a_pose_that_is_stated_while_driving_holds_from_then_on() -> None:
     wrong = mcl.Start(0, LOG.start.mean + np.array([3.0, 0.0, 0.5]), LOG.start.cov)
     feed = Feed(start=wrong)([*camera(), *drive(4)])
     pose = LOG.groundtruth.at(LOG.frames[4].t_ns)
-    stated = MAKE.encode(MAKE.pose_in_map(BEGIN_NS, pose, np.diag([0.01, 0.01, 0.003])))
-    feed([arrival("initialpose", LOG.frames[4].t_ns - 1, stated)] * 3)
+    feed([stated(LOG.frames[4].t_ns - 1, pose)] * 3)
     assert sum(text.startswith("started") for text in feed.said) == 2, "the same message counts once"
     feed.published.clear()
     feed(drive(4, first=5))
@@ -163,13 +162,13 @@ def test_a_pose_that_is_stated_while_driving_holds_from_then_on() -> None:
 
 def test_a_pose_that_is_stated_again_later_counts_again() -> None:
     """As `ros2 topic pub --once` sends it: without a time, the same bytes."""
-    stated = MAKE.encode(MAKE.pose_in_map(0, LOG.groundtruth.at(LOG.frames[2].t_ns), np.diag([0.01, 0.01, 0.003])))
+    pose = LOG.groundtruth.at(LOG.frames[2].t_ns)
     feed = Feed()([*camera(), *drive(3)])
     seconds = range(0, 4_000_000_000, 1_000_000_000)
-    feed([arrival("initialpose", feed.now_ns + after_ns, stated) for after_ns in seconds])
+    feed([stated(feed.now_ns + after_ns, pose, 0) for after_ns in seconds])
     assert sum(text.startswith("started") for text in feed.said) == 2, "sent every second, it is stated once"
     feed.tracker.look_everywhere()
-    feed([arrival("initialpose", feed.now_ns + 2_000_000_000, stated)])
+    feed([stated(feed.now_ns + 2_000_000_000, pose, 0)])
     assert sum(text.startswith("started") for text in feed.said) == 3
 
 
@@ -181,8 +180,7 @@ def test_a_pose_in_another_frame_than_the_maps_is_left_out(frame: str, map_frame
     feed = Feed()
     feed.run.map_frame = map_frame
     feed([*camera(), *drive(2)])
-    stated = MAKE.pose_in_map(BEGIN_NS, LOG.groundtruth.at(feed.now_ns), np.diag([0.01, 0.01, 0.003]), frame)
-    feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated))])
+    feed([stated(feed.now_ns, LOG.groundtruth.at(feed.now_ns), frame=frame)])
     assert sum(text.startswith("started") for text in feed.said) == 1 + taken
     assert any("in the frame map, found one in odom" in text for text in feed.said) != taken
     assert any("names no frame" in text for text in feed.said) == (frame == "")
@@ -194,16 +192,15 @@ def test_a_pose_in_another_frame_than_the_maps_is_left_out(frame: str, map_frame
 )
 def test_a_start_beyond_any_building_is_refused(x: float, sigma: float, told: str) -> None:
     feed = Feed()([*camera(), *drive(2)])
-    stated = MAKE.pose_in_map(BEGIN_NS, np.array([x, 0.0, 0.0]), np.diag([sigma**2, sigma**2, 0.01]))
-    feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated))])
+    far = MAKE.pose_in_map(BEGIN_NS, np.array([x, 0.0, 0.0]), np.diag([sigma**2, sigma**2, 0.01]))
+    feed([arrival("initialpose", feed.now_ns, MAKE.encode(far))])
     assert any(told in text for text in feed.said), feed.said
     assert sum(text.startswith("started") for text in feed.said) == 1
 
 
 def test_a_robot_without_a_start_is_looked_for(localiser: Localiser, tmp_path: Path) -> None:
     feed = Feed(start=None, record=tmp_path / "drive.db3")([*camera(), *drive(5, first=100)])
-    stated = MAKE.pose_in_map(BEGIN_NS, LOG.groundtruth.at(feed.now_ns), np.diag([0.01, 0.01, 0.003]))
-    feed([arrival("initialpose", feed.now_ns, MAKE.encode(stated)), *drive(3, first=106)])
+    feed([stated(feed.now_ns, LOG.groundtruth.at(feed.now_ns)), *drive(3, first=106)])
     feed.assert_replays(localiser)
 
 
@@ -213,10 +210,9 @@ def test_a_recording_replays_to_the_same_poses(localiser: Localiser, tmp_path: P
     messages = drive(20)
     gap = range(LOG.frames[8].t_ns, LOG.frames[12].t_ns)
     messages = [message for message in messages if message.role != "odometry" or message.at_ns not in gap]
-    stated = MAKE.pose_in_map(
-        BEGIN_NS + LOG.frames[15].t_ns, LOG.groundtruth.at(LOG.frames[15].t_ns), np.diag([0.01, 0.02, 0.003])
-    )
-    messages.insert(messages.index(messages[-30]), arrival("initialpose", messages[-30].at_ns, MAKE.encode(stated)))
+    last = LOG.frames[15].t_ns
+    pose = stated(messages[-30].at_ns, LOG.groundtruth.at(last), BEGIN_NS + last)
+    messages.insert(messages.index(messages[-30]), pose)
     messages[20:20] = [image(messages[20].at_ns, 3, b"no image"), messages[10], messages[19]]
     feed([*camera(), *messages])
     assert sum(text.startswith("started") for text in feed.said) == 2
@@ -244,8 +240,7 @@ def test_what_is_said_before_the_camera_is_known_comes_before_a_saved_state(tmp_
     Checkpoints(tmp_path / "state", first.said.append).close(first.tracker.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"))
     if asked == "a pose":
-        stated = MAKE.pose_in_map(BEGIN_NS, np.array([1.0, 2.0, 0.0]), np.diag([0.01, 0.01, 0.003]))
-        again([arrival("initialpose", 0, MAKE.encode(stated))])
+        again([stated(0, np.array([1.0, 2.0, 0.0]))])
     else:
         again.tracker.look_everywhere()
     again([*camera(), *drive(2, first=N)])

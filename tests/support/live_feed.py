@@ -46,6 +46,12 @@ def odometry(t_ns: int, pose: np.ndarray | None = None) -> Arrival:
     return arrival("odometry", t_ns, MAKE.encode(MAKE.odometry(BEGIN_NS + t_ns, ODOM, pose)))
 
 
+def stated(t_ns: int, pose: np.ndarray, stamp_ns: int = BEGIN_NS, frame: str = "map") -> Arrival:
+    """Return the pose of the robot as somebody states it, to 10 cm and 3°."""
+    message = MAKE.pose_in_map(stamp_ns, pose, np.diag([0.01, 0.01, 0.003]), frame)
+    return arrival("initialpose", t_ns, MAKE.encode(message))
+
+
 def arrival(role: str, t_ns: int, content: bytes) -> Arrival:
     return Arrival(role, TOPICS[role], content, at_ns=t_ns, wall_ns=BEGIN_NS + t_ns)
 

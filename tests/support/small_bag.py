@@ -93,10 +93,20 @@ class Recorder:
         )
         self.send(topic, msgtype, t_ns, transforms=[stamped])
 
+    def mount(self) -> None:
+        """Write where the camera is on the robot."""
+        self.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
+
+    def steps(self, count: int = 3, base: str = "base_link", **image: Any) -> None:
+        """Write odometry and an image, ten times a second."""
+        for step in range(count):
+            self.odometry(step * 10**8, base=base)
+            self.image(step * 10**8, **image)
+
     def setting(self) -> None:
         """Write what every log needs beside images: camera, mount, odometry for a second."""
         self.info()
-        self.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
+        self.mount()
         for step in range(11):
             self.odometry(step * 10**8, 0.01 * step)
 

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2.storage_mcap import zstd
-from small_bag import OPTICAL, Recorder, bag
+from small_bag import Recorder, bag
 
 MB = 2**20
 
@@ -60,7 +60,7 @@ def _ros2(path: Path, mode: rosbag2.CompressionMode, change: Callable[[Recorder]
 
 def _large_images(recorder: Recorder, count: int = 40) -> None:
     """Write all that a log needs, with images of 12 MB."""
-    recorder.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
+    recorder.mount()
     recorder.info(width=4000, height=3000)
     for step in range(count):
         recorder.odometry(step * 10**8)

@@ -141,6 +141,13 @@ def drive(path: Path, kind: str, squeeze: str = "") -> tuple[Path, bytes]:
 PLUGIN: dict[str, Any] = {"storage_plugin": rosbag2.StoragePlugin.MCAP}
 
 
+def assert_read_to_where_it_ends(path: Path) -> None:
+    with pytest.warns(InputWarning, match="cannot be read to its end: .*the log ends there"):
+        log = open_log(path)
+    assert 5 < len(log.frames) < 40
+    assert all((frame.load() == frame.t_ns % 251).all() for frame in log.images)
+
+
 @pytest.mark.parametrize("squeeze", ["", "lz4", "bz2"])
 def test_a_ros1_bag_is_read_up_to_where_its_recorder_ended(tmp_path: Path, squeeze: str) -> None:
     """Without an index, and under the name that the recorder gives it while it records."""
@@ -148,10 +155,7 @@ def test_a_ros1_bag_is_read_up_to_where_its_recorder_ended(tmp_path: Path, squee
     begin = data.index(b"index_pos=") + len(b"index_pos=")
     path = tmp_path / "x.bag.active"
     path.write_bytes(data[:begin] + bytes(8) + data[begin + 8 : len(data) * 2 // 3])
-    with pytest.warns(InputWarning, match="cannot be read to its end: .*the log ends there"):
-        log = open_log(path)
-    assert 5 < len(log.frames) < 40
-    assert all((frame.load() == frame.t_ns % 251).all() for frame in log.images)
+    assert_read_to_where_it_ends(path)
 
 
 @pytest.mark.parametrize("squeeze", ["", "zstd"])
@@ -161,10 +165,7 @@ def test_a_truncated_mcap_is_read_up_to_where_it_ends(tmp_path: Path, squeeze: s
     file.write_bytes(data[: len(data) // 3])
     (tmp_path / "bag" / "metadata.yaml").unlink()
     file.rename(file.with_name("bag_0.mcap"))
-    with pytest.warns(InputWarning, match="cannot be read to its end: .*the log ends there"):
-        log = open_log(tmp_path / "bag")
-    assert 5 < len(log.frames) < 40
-    assert all((frame.load() == frame.t_ns % 251).all() for frame in log.images)
+    assert_read_to_where_it_ends(tmp_path / "bag")
 
 
 @pytest.mark.parametrize(

@@ -169,9 +169,7 @@ def read(path: Path, record: object, base: str = "base_link") -> object:
     with recording(path) as recorder:
         recorder.info()
         record(recorder)  # type: ignore[operator]
-        for step in range(3):
-            recorder.odometry(step * 10**8, base=base)
-            recorder.image(step * 10**8)
+        recorder.steps(base=base)
     return open_log(path)
 
 
@@ -218,7 +216,7 @@ def write(path: Path, messages: list[bytes], *, moves: bool, topic: str = "/othe
 
 def fill(to: Recorder, *, moves: bool) -> None:
     if not moves:
-        to.transform("base_link", "optical", (0.1, 0.0, 0.7), OPTICAL)
+        to.mount()
     for step in range(IMAGES):
         t_ns = step * 10**7
         to.odometry(t_ns, 0.001 * step)

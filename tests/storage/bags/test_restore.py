@@ -5,9 +5,11 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hot_journal import lay_journal
@@ -161,12 +163,14 @@ def test_nothing_is_overwritten_and_other_kinds_are_refused(tmp_path: Path) -> N
         BagRecorder(tmp_path / "a.mcap")
 
 
+def recorder_of(path: Path) -> tuple[BagRecorder, Callable[[str, Any], None]]:
+    """Return a recorder, and what has it write a message on a topic."""
+    recorder = BagRecorder(path)
+    return recorder, lambda topic, message: recorder.write(topic, message.__msgtype__, 1, MAKE.encode(message))
+
+
 def test_decisions_leave_out_what_a_live_run_left_out(tmp_path: Path) -> None:
-    recorder = BagRecorder(tmp_path / "a.db3")
-
-    def send(topic: str, message: object) -> None:
-        recorder.write(topic, message.__msgtype__, 1, MAKE.encode(message))
-
+    recorder, send = recorder_of(tmp_path / "a.db3")
     send("/tf_static", MAKE.mount(0, CAMERA))
     send("/camera/camera_info", MAKE.camera_info(0, CAMERA))
     file = encode_image(image(0), ".jpg", 90)
@@ -186,11 +190,7 @@ def test_decisions_leave_out_what_a_live_run_left_out(tmp_path: Path) -> None:
 
 def test_a_recording_says_which_topic_is_what(tmp_path: Path) -> None:
     """Also where names tell nothing, and where there are images that went out."""
-    recorder = BagRecorder(tmp_path / "a.db3")
-
-    def send(topic: str, message: object) -> None:
-        recorder.write(topic, message.__msgtype__, 1, MAKE.encode(message))
-
+    recorder, send = recorder_of(tmp_path / "a.db3")
     stated = {"image": "/front/compressed", "odometry": "/wheels", "groundtruth": "/mocap", "transforms": "/fixed"}
     send("/localiser/log", MAKE.text(live_label_text("a", {}, stated | {"camera_info": "/front/camera_info"})))
     send("/fixed", MAKE.mount(0, CAMERA))
