@@ -1,13 +1,11 @@
 """The camera against OpenCV's own projection, with tilt, roll, yaw, offset and lens distortion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from floor_points import floor_points
+from cameras import floor_points
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation

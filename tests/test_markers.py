@@ -5,8 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from cameras import vga_camera
 from simulated_edges import EdgeNoise, simulated_edges
-from vga_camera import vga_camera
 
 from localiser import (
     Edges,

@@ -1,7 +1,5 @@
 """A mount that moves, and a shutter that rolls: one world gives one answer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The posterior Cramér-Rao bound, against closed forms and against an estimator that attains it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from efficiency import bearing_information, efficiency, information, posterior_bound

@@ -1,13 +1,11 @@
 """Simulated edges: unbiased, as certain as they say, and nothing that the camera could not see; simulated buildings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from board.buildings import KINDS
 from board.worlds import MAP_SIGMA_M, clearance_m, hidden_behind, hours_of
+from cameras import vga_camera
 from simulated_edges import EdgeNoise, simulated_edges
-from vga_camera import vga_camera
 
 from localiser import geometry
 from localiser.camera import Mount

@@ -5,8 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from cameras import floor_points
 from edge_images import camera_of, wall_image
-from floor_points import floor_points
 
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.column_detector import Columns

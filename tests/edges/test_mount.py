@@ -1,7 +1,5 @@
 """Tilt and roll from the edges of one image; columns of edges."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A rolling shutter undone: against points projected one by one from where the camera was at their row's time."""
 
-from __future__ import annotations
-
 import csv
 from collections import defaultdict
 from dataclasses import replace

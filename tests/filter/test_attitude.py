@@ -173,7 +173,7 @@ def located(kind: str, level: Level | None, seed: int = 1) -> tuple[Array, Array
     return error[20:], np.array([one.estimate.pose_cov for one in found])[20:]
 
 
-@pytest.mark.parametrize("kind", ["line", "slope"])
+@pytest.mark.parametrize("kind", ["line", pytest.param("slope", marks=pytest.mark.slow)])
 def test_a_robot_whose_camera_hangs_otherwise_than_stated_is_where_it_says(kind: str) -> None:
     """Without that, half a degree of tilt biases every image in the same way, and the filter knows nothing of it."""
     drives = [located(kind, Level(STATED, PLUMB), seed) for seed in range(1, 7)]

@@ -104,7 +104,7 @@ def test_where_the_map_becomes_another_a_few_images_tell(before: float, after: f
     assert images <= 10
 
 
-@pytest.mark.parametrize("kind", ["line", "slope"])
+@pytest.mark.parametrize("kind", ["line", pytest.param("slope", marks=pytest.mark.slow)])
 def test_on_a_map_that_is_off_by_three_centimetres_the_filter_says_how_far_it_is_off(kind: str) -> None:
     drive = hours_of("crowd", 3, 0.5)
     rng, points = np.random.default_rng(5), drive.landmark_map.points

@@ -1,7 +1,5 @@
 """The filter: events of any rates in, estimates out; and the estimates against a grid filter."""
 
-from __future__ import annotations
-
 import runpy
 from dataclasses import dataclass
 
@@ -188,9 +186,7 @@ def test_a_start_in_the_middle_begins_anew_between_two_odometry_poses() -> None:
 
 
 @pytest.mark.parametrize(("per_metre", "resamples"), [(1.0, False), (12.0, True)])
-def test_estimate_is_that_of_the_weighted_particles_and_resampling_comes_after(
-    per_metre: float, resamples: bool
-) -> None:
+def test_estimate_is_that_of_the_weighted_particles_and_resampling_comes_after(per_metre, resamples):
     mcl, state = filter_of(500, observation=Weighs(per_metre)), FilterState()
     (located,) = run(mcl, [Start(0, START_POSE, PRIOR), *odometry(circle([0, SECOND])), *images([0])], state=state)
     drawn = particles.from_gaussian(START_POSE, PRIOR, 500, np.random.default_rng(0))
@@ -254,9 +250,7 @@ def test_same_generator_same_arrays_another_differs() -> None:
     assert (first[-1].particles.columns != other[-1].particles.columns).any()
 
 
-def test_the_first_image_alone_is_shared_among_processors_and_gives_the_same_bytes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_first_image_alone_is_shared_among_processors_and_gives_the_same_bytes(monkeypatch):
     track = ahead(1.0, 100_000_000)
     events = in_time([Start(0, START_POSE, PRIOR)], odometry(track), sighted(track, 0)[:3])
     found, used = [], []

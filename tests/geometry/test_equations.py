@@ -1,7 +1,5 @@
 """Floor poses, increments, trajectories and the paper's equations, each against an oracle of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

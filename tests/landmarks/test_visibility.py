@@ -1,7 +1,5 @@
 """Maps and visibility; the oracle of visibility projects points along every edge, one by one."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from dataclasses import replace

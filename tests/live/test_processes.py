@@ -116,7 +116,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(folder)], check=True)
 
 
-@pytest.mark.slow  # quick: test_recordings.py has a database that is full
+@pytest.mark.slow  # quick: tests/live/test_publishing.py has a database that is full
 def test_a_full_disk_ends_the_recording_and_not_the_run(robot: Program, endpoint: str, small_disk: Path) -> None:
     bag = small_disk / "drive.db3"
     limit = None if small_disk.is_mount() else DISK_BYTES  # of files, which fails as a full disk does
@@ -167,7 +167,7 @@ def test_a_pose_is_stated_from_outside(robot: Program, endpoint: str, localiser:
         assert live.end(signal.SIGINT) == 0
 
 
-@pytest.mark.slow  # quick: tests/live/test_sources.py and tests/commands/test_main.py run it in part
+@pytest.mark.slow  # quick: tests/live/test_fuzz.py and tests/commands/test_main.py run it in part
 def test_doctor_hears_the_robot(robot: Program, endpoint: str, localiser: Localiser) -> None:
     result = localiser("doctor", "--set", f"live.connect={endpoint}", "--seconds", 2)
     assert result.exit_code == 0, result.out

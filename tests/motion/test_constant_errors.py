@@ -1,7 +1,5 @@
 """Constant errors of wheels and mount: what a particle knows of them, against brute force and against the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path

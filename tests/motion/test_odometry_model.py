@@ -1,7 +1,5 @@
 """The motion model: what `predict` draws is what its docstring states, and what `linearised` says of it."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

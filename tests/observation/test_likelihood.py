@@ -1,7 +1,5 @@
 """The compiled likelihood against the same model with arrays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from floor_points import floor_points
+from cameras import floor_points
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from proposal_room import CAMERA, drawn_frames, room

@@ -10,8 +10,7 @@ import pytest
 from attack_inputs import mutated
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from map_texts import NEWER
-from small_log import CAMERA, write_edge_log, write_small_log
+from small_log import CAMERA, NEWER, write_edge_log, write_small_log
 
 from localiser.config import Config, read_config, to_yaml
 from localiser.errors import InputError

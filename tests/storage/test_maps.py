@@ -8,7 +8,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from map_texts import NEWER
+from small_log import NEWER
 
 from localiser.documents import Document, Place, dump, parse, plain_name
 from localiser.errors import InputError

@@ -9,6 +9,7 @@ import numpy as np
 from rosbags import rosbag1, rosbag2
 
 from localiser.storage.bags import Messages, RosType
+from localiser.storage.bags.bag import Bag
 
 WIDTH, HEIGHT = 8, 6
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # quaternion of an optical frame that looks straight ahead, tilted by nothing
@@ -129,3 +130,16 @@ def bag(path: Path, record: Callable[[Recorder], None], kind: str = "mcap") -> P
         recorder.setting()
         record(recorder)
     return path
+
+
+MAKE = Messages()
+
+
+def text(words: str) -> bytes:
+    return MAKE.encode(MAKE.text(words))
+
+
+def texts(path: Path) -> list[str]:
+    """Return the texts of a bag that holds texts only."""
+    with Bag(path) as bag:
+        return [message.content.data for message in bag.messages(bag.topics)]

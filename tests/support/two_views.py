@@ -1,7 +1,7 @@
 """Edges of one room as seen from several poses, simulated from the equations alone."""
 
 import numpy as np
-from vga_camera import vga_camera
+from cameras import vga_camera
 
 from localiser import geometry
 from localiser.camera import Mount

@@ -1,7 +1,5 @@
 """What a run looks like in Rerun: read back from the recording, and shown to viewers that misbehave."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

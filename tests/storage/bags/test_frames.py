@@ -1,7 +1,5 @@
 """The mount from ROS transforms, against projecting points through those transforms."""
 
-from __future__ import annotations
-
 from dataclasses import astuple, replace
 from itertools import pairwise
 from pathlib import Path
@@ -57,9 +55,7 @@ class Stamped:
 
 @settings(max_examples=100)
 @given(mounts, st.integers(0, 2**32 - 1), st.integers(0, 3), st.booleans())
-def test_mount_of_any_chain_projects_points_as_the_transforms_do(
-    mount: Mount, seed: int, links: int, backwards: bool
-) -> None:
+def test_mount_of_any_chain_projects_points_as_the_transforms_do(mount, seed, links, backwards):
     """Points before the camera, in the robot's ROS frame, land on the same pixels by both ways."""
     rng = np.random.default_rng(seed)
     camera = CAMERA.ideal.with_mount(**dict(zip(Mount.__slots__, astuple(mount), strict=True)))

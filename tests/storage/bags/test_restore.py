@@ -13,8 +13,7 @@ from typing import Any
 
 import pytest
 from hot_journal import lay_journal
-from recorded_texts import MAKE, text, texts
-from small_bag import Recorder, bag
+from small_bag import MAKE, Recorder, bag, text, texts
 from small_log import CAMERA, MAP, image
 
 from localiser.errors import InputError, OutputError
