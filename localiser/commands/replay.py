@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -22,9 +22,6 @@ from localiser.commands.options import (
     with_options,
     working,
 )
-
-if TYPE_CHECKING:
-    from localiser.view import LiveView
 
 EPILOG = """Examples:
 
@@ -113,8 +110,11 @@ def replay(
             typer.echo(f"Bag in {bag}; beside it {' and '.join(_layouts_beside(bag))}, layouts for RViz and Foxglove.")
         for warning in figures["warnings"]:
             warn(warning)
-    if run.viewer is not None:
-        _wait_for(run.viewer)
+    if run.viewer is not None and not run.viewer.is_running:
+        warn("The viewer was closed or could not start (is there a display?); the run went on without it.")
+    elif run.viewer is not None and run.viewer.address:
+        typer.echo("The page is served until Ctrl-C.", err=True)
+        run.viewer.wait()
 
 
 def _layouts_beside(bag: Path) -> list[str]:
@@ -126,15 +126,6 @@ def _layouts_beside(bag: Path) -> list[str]:
         if not (target := bag.with_name(layout.name)).exists():
             write_text(target, layout.read_text(encoding="utf-8"))
     return sorted(layout.name for layout in LAYOUTS.iterdir())
-
-
-def _wait_for(viewer: LiveView) -> None:
-    """Say what became of the viewer, and serve its page until Ctrl-C."""
-    if not viewer.is_running:
-        warn("The viewer was closed or could not start (is there a display?); the run went on without it.")
-    elif viewer.address:
-        typer.echo("The page is served until Ctrl-C.", err=True)
-        viewer.wait()
 
 
 def _show_run(figures: dict[str, Any], folder: Path, rrd: bool) -> None:
