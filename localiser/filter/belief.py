@@ -144,7 +144,8 @@ class Belief:
         """
         clues, is_tracked, carried = search.clues(sighting), found is not None, jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
-        begun = replace(self, history=self.history.moved(move.increment, novelty))
+        near = self.near if self.is_known else replace(self.near, maps=len(search.landmark_map.maps))
+        begun = replace(self, history=self.history.moved(move.increment, novelty), near=near)
         belief = begun._judged(clues, found, replace(jump, novelty=novelty), carried, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         told = 0.0 if clues.is_blind else novelty / scenes  # a few edges may be anything, whatever the map
@@ -364,7 +365,8 @@ class Belief:
 
     def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
         """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""
-        probability = self.near.probability * self.here if is_tracked else self.elsewhere
+        here = self.here if is_tracked else self.elsewhere
+        probability = here * (self.near.probability if is_tracked or self.near.maps > 1 else 1.0)
         return self._looked_at * probability * near_weight(cloud, pose)
 
     @property
@@ -384,7 +386,7 @@ class Belief:
     @property
     def _contradicted(self) -> float:
         """The probability that this is no map of what is seen."""
-        return self.off_map + (1.0 - self.near.probability) * self.here
+        return self.off_map + (self.near.log_odds < 0) * (1.0 - self.near.probability) * self.here
 
     @property
     def warning(self) -> MapWarning:

@@ -20,6 +20,9 @@ f_l is the part of its scenes in which it was matched, p and q are how often tha
 another one. Scenes fade by a factor of e within 60, so a landmark that was seen for ten is half forgotten after some 50
 m. On a map of the building a place that is tracked is hardly ever wrong, so odds against one still count when another
 one is tracked in its stead, and fade as scenes do.
+
+Of a building of which n floors are mapped there may be one more, whose walls are those of the others. A place that was
+found on one of n maps has odds of n to it, until landmarks beside the robot tell.
 """
 
 from __future__ import annotations
@@ -83,13 +86,15 @@ class NearLandmarks:
     """What images showed of M near landmarks.
 
     landmark: (M,) indices, ascending. scenes: (M,) in which it was tested. matched: (M,) in which an edge matched it.
-    before: log-odds that places which were tracked before left, at most 0.
+    before: log-odds that places which were tracked before left, at most 0. maps: among which the place was found; 1
+    where it was stated.
     """
 
     landmark: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     scenes: Array = field(default_factory=lambda: np.zeros(0))
     matched: Array = field(default_factory=lambda: np.zeros(0))
     before: float = 0.0
+    maps: int = 1
 
     @property
     def log_odds(self) -> float:
@@ -100,7 +105,12 @@ class NearLandmarks:
 
     @property
     def probability(self) -> float:
-        """The probability that a map which is believed is not of another building, 1 where nothing speaks for that."""
+        """The probability that the map which is believed is that of the place, not of another building or floor.
+
+        Of one map it is 1 where nothing speaks against it.
+        """
+        if self.maps > 1:
+            return float(1.0 / (1.0 + np.exp(-self.log_odds) / self.maps))
         return float((1.0 + ANOTHER) / (1.0 + ANOTHER * np.exp(max(-self.log_odds, 0.0))))
 
     @property
@@ -110,7 +120,7 @@ class NearLandmarks:
 
     def elsewhere(self) -> NearLandmarks:
         """Return what is known when another place is tracked."""
-        return NearLandmarks(before=min(self.log_odds, 0.0))
+        return NearLandmarks(before=min(self.log_odds, 0.0), maps=self.maps)
 
     def after(self, matches: Matches, points: Array, pose: Array, novelty: float) -> NearLandmarks:
         """Return what is known after an image.
@@ -126,7 +136,7 @@ class NearLandmarks:
             scenes[tested] += novelty
             matched[tested] += novelty * is_matched
         landmark = np.flatnonzero(scenes > _FORGOTTEN)
-        return NearLandmarks(landmark, scenes[landmark], matched[landmark], kept * self.before)
+        return NearLandmarks(landmark, scenes[landmark], matched[landmark], kept * self.before, self.maps)
 
 
 def near_landmarks(matches: Matches, points: Array, pose: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

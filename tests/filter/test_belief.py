@@ -20,6 +20,7 @@ from localiser.observation import EdgeObservation, Matches, NearLandmarks, Obser
 from localiser.observation.place_landmarks import MEMORY_SCENES
 from localiser.particles import POSE, Particles
 from localiser.relocalisation import Candidates
+from localiser.storage import Site
 
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
 STEP_M, STEP_NS, IMAGES = 0.1, 200_000_000, 60
@@ -136,6 +137,26 @@ def test_they_are_not_asked_for_where_nothing_can_be_elsewhere() -> None:
     known = [replace(one, landmark_id=np.full(len(one), -1)) for one in drive.edges]
     frames, _ = located(robot, replace(drive, edges=known))
     assert len(frames) == 30 and not len(robot.state.belief.near.landmark)
+
+
+def test_a_floor_that_nobody_mapped_is_as_likely_as_one_that_was_until_landmarks_tell() -> None:
+    """Of a place that was found among two maps; one that was stated, or found on a single map, needs no proof."""
+    drive, other = hours_of("floor", 1, 0.1), hours_of("floor", 2, 0.1)
+    site = Site.beside([replace(drive.landmark_map, name="own"), replace(other.landmark_map, name="other")])
+    for landmark_map, start, maps in ((site, None, 2), (site, drive.truth[0], 1), (drive.landmark_map, None, 1)):
+        robot = Localiser(landmark_map, drive.camera, read_config(None), 0)
+        if start is not None:
+            robot.start(start, START, int(drive.t_ns[0]))
+        located(robot, replace(drive, t_ns=drive.t_ns[:4], edges=drive.edges[:4]))
+        assert robot.state.belief.near.maps == maps
+    found = NearLandmarks(maps=2)
+    assert found.probability == found.elsewhere().probability == pytest.approx(2 / 3)
+    belief = Belief(0.9, 0.05, 0.0, 0.05, near=found)
+    assert belief.p_correct(CLOUD, np.zeros(3), is_tracked=True) == pytest.approx(0.6) and not belief.warning
+    assert belief.reason(0.6, Sighting(0, measurement=np.zeros(1))) == "several places fit"
+    seen = NearLandmarks(np.arange(9), np.full(9, 9.0), np.full(9, 9.0), maps=2)
+    assert replace(belief, near=seen).p_correct(CLOUD, np.zeros(3), is_tracked=True) > 0.89
+    assert replace(belief, near=replace(seen, matched=np.zeros(9))).warning
 
 
 OBSERVATION = EdgeObservation(CAMERA, ObservationParameters())
