@@ -74,7 +74,7 @@ def markdown(page: Page) -> str:
         "",
     ]
     keys = {key for row in page.values() for values in row.values() for key in values}
-    lines += [f"- *{one.title}*: {one.meaning}" for key, one in FIGURES.items() if key in keys]
+    lines += [f"- *{one.title}*: {one.meaning}" for key, one in FIGURES.items() if key in keys and one.is_shown]
     return "\n".join(lines) + "\n\n" + tables(page)
 
 
@@ -83,7 +83,8 @@ def tables(page: Page) -> str:
     text = ""
     for group, titles in groupby(page, lambda title: title.partition(": ")[0]):
         rows = {title.partition(": ")[2]: list(page[title].values()) for title in titles}
-        keys = [key for key in FIGURES if any(one.get(key, NEVER) != NEVER for runs in rows.values() for one in runs)]
+        known = {key for runs in rows.values() for one in runs for key in one if one[key] != NEVER}
+        keys = [key for key, figure in FIGURES.items() if key in known and figure.is_shown]
         text += f"| {group} | " + " | ".join(FIGURES[key].title for key in keys) + " |\n"
         text += "|---" * (len(keys) + 1) + "|\n"
         for name, runs in rows.items():

@@ -154,7 +154,7 @@ class Figure(NamedTuple):
     """What a figure means, and how it is compared and printed.
 
     floor: a change that is smaller counts as none. is_rate: printed in per cent, compared in points. is_judged: whether
-    a change of it is good or bad by itself.
+    a change of it is good or bad by itself. is_shown: whether tables have it, or comparisons alone.
     """
 
     title: str
@@ -164,12 +164,13 @@ class Figure(NamedTuple):
     is_rate: bool = False
     more_is_better: bool = False
     is_judged: bool = True
+    is_shown: bool = True
 
 
 _SINCE = "of every image since found"
 FIGURES = {
     "rmse_m": Figure("RMSE m", f"root of the mean square of the position error, {_SINCE}", 4, 0.0005),
-    "median_m": Figure("median m", f"median of the position error, {_SINCE}", 4, 0.0005),
+    "median_m": Figure("median m", f"median of the position error, {_SINCE}", 4, 0.0005, is_shown=False),
     "heading_deg": Figure("heading °", f"root of the mean square of the heading error, {_SINCE}"),
     "nees": Figure("NEES", f"mean of the normalised estimation error squared, {_SINCE}; 3 if honest"),
     "found": Figure("found", "images until the first of five in succession that are right: within 0.5 m and 10°", 0, 1),
