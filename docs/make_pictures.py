@@ -1,4 +1,4 @@
-"""Make the pictures of a run that README and the docs show: the report, and the view in a browser without a screen.
+"""Make the pictures that README and the docs show of runs: report, view in a browser without a screen, floors, markers.
 
     python docs/make_pictures.py             # needs chromium; takes some minutes
 
@@ -19,14 +19,12 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "support"))
+sys.path += [str(ROOT / "tests" / "support"), str(ROOT / "benchmarks")]
 IMAGES = ROOT / "docs" / "images"
 MADE_BY = {
     "recording.png": [ROOT / "localiser" / "view" / name for name in ("layout.py", "palette.py", "draw.py")],
     "report.png": [ROOT / "localiser" / "evaluate" / "report.py"],
-}
-SIZE = (1440, 713)
-SECONDS = 45.0  # by which the viewer is drawn, without a graphics card
+} | {name: [ROOT / "benchmarks" / "board" / "shown.py"] for name in ("floors.png", "markers.png")}
 
 
 def version_of(name: str) -> str:
@@ -45,22 +43,24 @@ def keep(picture: Path, name: str) -> None:
 
 
 def main() -> None:
-    """Replay the log that ships, and take its report and its view."""
+    """Replay the log that ships, and take its report and its view; draw the others."""
+    from board import shown
     from browser import page
 
     with TemporaryDirectory() as folder:
+        for name, draw in (("floors.png", shown.lift), ("markers.png", shown.markers)):
+            draw(Path(folder) / name)
+            keep(Path(folder) / name, name)
         run = Path(folder) / "corridor" / "1"
-        command = [sys.executable, "-m", "localiser", "replay", ROOT / "logs" / "corridor", "--out", folder]
-        subprocess.run(command, check=True, cwd=ROOT)
+        program = [sys.executable, "-m", "localiser"]
+        subprocess.run([*program, "replay", ROOT / "logs" / "corridor", "--out", folder], check=True, cwd=ROOT)
         keep(run / "report.png", "report.png")
-        served = subprocess.Popen(
-            [sys.executable, "-m", "localiser", "view", run, "--web"], stdout=subprocess.PIPE, text=True, cwd=ROOT
-        )
+        served = subprocess.Popen([*program, "view", run, "--web"], stdout=subprocess.PIPE, text=True, cwd=ROOT)
         try:
             assert served.stdout is not None
             address = served.stdout.readline().split()[2].rstrip(",")
-            with page(address, Path(folder) / "profile", SIZE) as open_page:
-                open_page.watch(SECONDS)
+            with page(address, Path(folder) / "profile", (1440, 713)) as open_page:
+                open_page.watch(45.0)  # by which the viewer is drawn, without a graphics card
                 cv2.imwrite(str(Path(folder) / "view.png"), open_page.screenshot())
             keep(Path(folder) / "view.png", "recording.png")
         finally:

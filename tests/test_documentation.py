@@ -229,7 +229,7 @@ def test_code_prints_what_the_page_says(name, monkeypatch, capsys):
     assert capsys.readouterr().out.splitlines() == re.findall(r"^# prints: (.*)$", code, re.MULTILINE)
 
 
-@pytest.mark.parametrize("name", ["recording.png", "report.png"])
+@pytest.mark.parametrize("name", ["recording.png", "report.png", "floors.png", "markers.png"])
 def test_pictures_of_a_run_are_of_this_version(name: str) -> None:
     """`python docs/make_pictures.py` makes them anew."""
     sys.path.insert(0, str(ROOT / "docs"))
