@@ -174,9 +174,11 @@ class EdgeObservation:
             heading, poses = some[2] + some[3], some.T.copy()
             low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
             by_heading = np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
-            run, order, *cells = entry(in_cells_loop)(poses, by_heading)
+            run, order, low, per_unit, shape = entry(in_cells_loop)(poses, by_heading)
             half_view_rad = float(np.arctan(widest) + np.abs(some[3]).max())
-            start, item = in_view_of_cells(run, *cells, landmarks, half_view_rad, farthest_m, reach, offset)
+            start, item = in_view_of_cells(
+                run, low, per_unit, shape, landmarks, half_view_rad, farthest_m, reach, offset
+            )
             result[..., part] = kernel.log_products(
                 poses,
                 order,
