@@ -6,9 +6,6 @@ changes. Given a motion, the bearing is predicted for two cases of the edge's lo
 
 - it is the foot, where the edge meets the floor, and determines the range, or
 - it is not (a window, a skirting board, something in front), and the edge is at any shorter range.
-
-The bearing itself may also be that of a neighbouring edge, a few pixels away, when each image shows only one of the
-two. Such a pair is not a new edge, but it gives no information.
 """
 
 from __future__ import annotations
@@ -24,32 +21,14 @@ from localiser.geometry import Array
 FOLLOWED_SHARE = 0.7  # of the edges of an image, seen in the one before
 HUNG_SHARE = 0.5  # of lower ends that are no feet, that hang at a height of their own; something hides the rest
 TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD = 0.4, 0.3  # 1/m: rooms are some metres wide, and edges stand all over them
-NEIGHBOUR_SHARE = 0.15  # of pairs whose bearings are of two edges beside each other
-NEIGHBOUR_SIGMA_RAD = float(np.deg2rad(0.3))  # how far apart
 FOOT_UNEVEN_SIGMA_M = 0.04  # of how far above the floor the lower end of each edge is: thresholds, plinths
 _FOOT_HEIGHT_SIGMA_M = 0.03  # and those of a building all alike: skirting boards
-_FLOOR_SHARE = 0.5  # of the lower ends that are feet
+FLOOR_SHARE = 0.5  # of the lower ends that are feet
 _LOOK_SIGMA = 12.0  # grey levels that an unchanged side of an edge differs by
 _LOOK_FLOOR = 0.1  # likelihood of an edge whose both sides changed, beside one that did not
 _RUNS_OUT_PX = 4.0 * FOOT_SIGMA_PX
 """An edge that is found to end this close to the border may be cut off by it: no foot, though it looks like one in each
 frame."""
-
-
-def _floor_shares() -> tuple[Array, Array]:
-    """Return a table of inverse ranges ρ (1/m), and how likely a lower end that would be a foot there is one.
-
-    With p(ρ) what is typical, a foot is there with p(ρ), and an end at any height up to the camera's, which looks
-    farther than it is, with ∫ p(r)/r dr from ρ on: near the horizon hardly anything stands on the floor.
-    """
-    inverse = np.geomspace(1e-3, TYPICAL_INVERSE_RANGE + 6.0 * TYPICAL_SPREAD, 200)
-    feet = np.exp(-0.5 * ((inverse - TYPICAL_INVERSE_RANGE) / TYPICAL_SPREAD) ** 2)
-    steps = 0.5 * (feet[1:] + feet[:-1]) * np.diff(np.log(inverse))  # dr/r = d log r
-    hanging = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
-    return inverse, _FLOOR_SHARE * feet / (_FLOOR_SHARE * feet + (1.0 - _FLOOR_SHARE) * hanging)
-
-
-FLOOR_INVERSE, FLOOR_SHARE = _floor_shares()
 
 
 class Sights(NamedTuple):

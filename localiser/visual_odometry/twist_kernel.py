@@ -20,21 +20,15 @@ from numpy.typing import NDArray
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled, part
 from localiser.visual_odometry.sights import (
-    FLOOR_INVERSE,
     FLOOR_SHARE,
     HUNG_SHARE,
-    NEIGHBOUR_SHARE,
-    NEIGHBOUR_SIGMA_RAD,
     TYPICAL_INVERSE_RANGE,
     TYPICAL_SPREAD,
     Sights,
 )
 
 _ROUNDS, _STEPS, _SMALL_STEP = 10, 3, 1e-5
-_LEAST_WEIGHT = 1e-6  # keeps the equations of an edge that tells nothing solvable
-_FAR_SIGMAS = 5.0
-_FLOOR_FIRST, _FLOOR_LAST = float(FLOOR_INVERSE[0]), float(FLOOR_INVERSE[-1])
-_FLOOR_STEP = float(np.log(_FLOOR_LAST / _FLOOR_FIRST) / (len(FLOOR_INVERSE) - 1))
+_FAR_SIGMAS, _FAR_RAD = 5.0, np.radians(0.3)  # beyond which a pair is none: of what is known, and of bearings
 
 
 # -- two views of one edge --------------------------------------------------------------------------------------------
@@ -159,16 +153,7 @@ def votes(
 
 
 @part
-def floor_share(inverse: float) -> float:
-    """Return how likely a lower end that would be a foot at this inverse range is one, between the table's places."""
-    at = min(max(inverse, _FLOOR_FIRST), _FLOOR_LAST)
-    j = min(int(np.log(at / _FLOOR_FIRST) / _FLOOR_STEP), len(FLOOR_SHARE) - 2)
-    way = (at - FLOOR_INVERSE[j]) / (FLOOR_INVERSE[j + 1] - FLOOR_INVERSE[j])
-    return float(FLOOR_SHARE[j] + way * (FLOOR_SHARE[j + 1] - FLOOR_SHARE[j]))
-
-
-@part
-def pair_odds(  # noqa: PLR0915  (one pair after another, step by step)
+def pair_odds(
     pairs: NDArray[np.int64],
     look: Array,
     usable: NDArray[np.bool_],
@@ -180,7 +165,7 @@ def pair_odds(  # noqa: PLR0915  (one pair after another, step by step)
     model: tuple[float, float],
     on_floor: bool,
 ) -> Array:
-    """Return of each pair (P, 3): odds of being one edge, that its bearings are right, that its ends are feet.
+    """Return of each pair (P, 2): odds of being one edge, and that its ends are feet.
 
     unknown, cov: (3 + K or more,) twist and common errors, as far as they are known. model: see `refine`.
     """
@@ -189,8 +174,8 @@ def pair_odds(  # noqa: PLR0915  (one pair after another, step by step)
     x, z, by_twist = camera_moved(unknown, mount)
     sin, cos = np.sin(turn), np.cos(turn)
     back_x, back_z = -(cos * x - sin * z), -(sin * x + cos * z)
-    result, slopes = np.zeros((len(pairs), 3)), np.empty((2, 5))
-    reach = _FAR_SIGMAS * (NEIGHBOUR_SIGMA_RAD + np.sqrt(cov[2, 2]))
+    result, slopes = np.zeros((len(pairs), 2)), np.empty((2, 5))
+    reach = _FAR_SIGMAS * (_FAR_RAD + np.sqrt(cov[2, 2]))
     moved = np.sqrt(x**2 + z**2) + _FAR_SIGMAS * np.sqrt(cov[0, 0] + cov[1, 1])
     most = TYPICAL_INVERSE_RANGE + _FAR_SIGMAS * TYPICAL_SPREAD
     for p in range(len(pairs)):
@@ -218,9 +203,9 @@ def pair_odds(  # noqa: PLR0915  (one pair after another, step by step)
         share = 0.0
         if not np.isnan(foot):
             foot_var += (uneven * foot) ** 2 + _variance(common, wrong_cov)
-            share = floor_share(foot) if on_floor else 0.0
-        # Two readings of the lower end, each with a sharp bearing and with that of a neighbour.
-        sharp = foot_sharp = total = 0.0
+            share = FLOOR_SHARE if on_floor else 0.0
+        # Two readings of the lower end.
+        total = standing = 0.0
         for reading in range(0 if share > 0.0 else 1, 2):
             inverse, variance, weight = foot, foot_var, share * agreement
             if reading == 1:
@@ -231,16 +216,12 @@ def pair_odds(  # noqa: PLR0915  (one pair after another, step by step)
             variance = slopes[0, 1] ** 2 * variance + _variance(slopes[0, 2:], cov)
             variance += two.sigma[f, 0] ** 2 + (slopes[0, 0] * one.sigma[e, 0]) ** 2
             square = _wrapped(two.measured[f, 0] - expected) ** 2
-            near = (1.0 - NEIGHBOUR_SHARE) * weight * np.exp(-0.5 * square / variance) / np.sqrt(variance)
-            variance += NEIGHBOUR_SIGMA_RAD**2
-            wide = NEIGHBOUR_SHARE * weight * np.exp(-0.5 * square / variance) / np.sqrt(variance)
-            sharp += near
-            total += near + wide
+            density = weight * np.exp(-0.5 * square / variance) / np.sqrt(variance)
+            total += density
             if reading == 0:
-                foot_sharp = near
+                standing = density
         result[p, 0] = look[p] * total / np.sqrt(2.0 * np.pi) / new_density
-        result[p, 1] = sharp / total if total > 0.0 else 0.0
-        result[p, 2] = foot_sharp / sharp if sharp > 0.0 else 0.0
+        result[p, 1] = standing / total if total > 0.0 else 0.0
     return result
 
 
@@ -434,8 +415,8 @@ def refine(
         weight, floor, log_likelihood = np.empty(count), np.empty(count), np.empty(count)
         for m in range(count):
             p = chosen[m]
-            log_likelihood[m], floor[m] = np.log1p(odds[p, 0]), odds[p, 2]
-            weight[m] = max(odds[p, 1] * odds[p, 0] / (1.0 + odds[p, 0]), _LEAST_WEIGHT)
+            log_likelihood[m], floor[m] = np.log1p(odds[p, 0]), odds[p, 1]
+            weight[m] = odds[p, 0] / (1.0 + odds[p, 0])
             settled = settled and previous[m] == p
         unknown, cov = solve(one, two, pairs, chosen, weight, floor, before, mean, information, mount, model[0])
         for k in range(3):

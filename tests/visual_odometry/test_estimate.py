@@ -24,7 +24,7 @@ from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, Odometer, VisualOdometryParameters, follow
 from localiser.visual_odometry import twist_kernel as loops
 from localiser.visual_odometry.estimate import at_least, mixture, motion_gaussian, twist_gaussian
-from localiser.visual_odometry.sights import FLOOR_INVERSE, FLOOR_SHARE, TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, Sights
+from localiser.visual_odometry.sights import TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, Sights
 from paper.slopes import depth_from_slopes, lean_from_slope, rotation_from_slopes
 
 ANYTHING = VisualOdometryParameters().twist(None, 0.2)
@@ -308,12 +308,6 @@ def test_each_edge_joins_one_pair_the_likeliest_first() -> None:
     pairs = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [2, 1], [2, 2]])
     odds = np.array([5.0, 9.0, 8.0, 1.0, 7.0, 0.9])
     np.testing.assert_array_equal(loops.one_to_one(pairs, odds, 3, 3), [1, 2])
-
-
-def test_between_points_of_the_table_is_interpolated_as_numpy_does() -> None:
-    x = np.concatenate([FLOOR_INVERSE, np.linspace(-0.5, 2.5, 301)])
-    found = [loops.floor_share.py_func(each) for each in x]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(found, np.interp(x, FLOOR_INVERSE, FLOOR_SHARE), atol=1e-12)
 
 
 def test_at_least_reaches_as_far_as_both() -> None:
