@@ -1,12 +1,9 @@
 """The scoreboard: drives that are changed, maps that fit nothing, what is counted, and when a figure is worse."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -145,9 +142,7 @@ FOUND = [10.0, 12.0, 40.0, 9.0, 11.0]
         ("nees", [6.0, 6.2, 5.9, 6.1, 6.0], [1.5, 1.45, 1.52, 1.48, 1.5], ""),  # twice and half are as bad
     ],
 )
-def test_a_change_is_worse_where_it_is_more_than_chance_and_more_than_little(
-    key: str, before: list[float], now: list[float], expected: str
-) -> None:
+def test_a_change_is_worse_where_it_is_more_than_chance_and_more_than_little(key, before, now, expected):
     assert page.verdict(key, np.column_stack([before, now])) == expected
 
 
@@ -232,9 +227,7 @@ def test_the_committed_page_has_only_rows_that_there_are() -> None:
 
 
 @pytest.mark.slow  # quick: the tests above hold the parts
-def test_program_writes_its_page_and_compares_with_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_program_writes_its_page_and_compares_with_it(tmp_path, monkeypatch, capfd):
     """The log that ships, twice: the same figures but for times, and for one that the page is told to be better."""
     title, saved = "rendered: corridor, line", tmp_path / "page.json"
     monkeypatch.setenv("LOCALISER_SCOREBOARD", str(tmp_path / "kept"))

@@ -221,10 +221,8 @@ BAD = {
     "unknown key of the configuration": Bad(
         with_config("seed: 1\nmcl:\n  particels: 10\n"), ["{log}/mine.yaml:3:3: mcl.particels", "'particles'"]
     ),
-    "missing configuration": Bad(with_arguments("--config", "{log}/no.yaml"), ["{log}/no.yaml: no such file"]),
     "--set of a text for a number": Bad(with_arguments("--set", "mcl.particles=many"), ["--set mcl", "'many'"]),
     "--start of two numbers": Bad(with_arguments("--start", "1,2"), ["--start", "x,z,heading_deg", "'1,2'"]),
-    "--start of words": Bad(with_arguments("--start", "the,front,door"), ["--start", "'the,front,door'"]),
     "--start of nan": Bad(with_arguments("--start", "nan,0,0"), ["--start", "'nan,0,0'"]),
     "slope without tilt": Bad(
         untilted, ["{log}/camera.yaml:", ": mount.tilt_deg: ", "found a tilt of 0°", "slope", "observation.kind=line"]
