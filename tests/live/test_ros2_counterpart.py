@@ -5,8 +5,6 @@ keeps nothing for those who come later, so /tf_static goes out by zenoh's own ad
 attachment.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator
@@ -78,7 +76,7 @@ class Robot:
         publisher.put(content, attachment=Attachment(1, time.time_ns(), bytes(range(16))).to_bytes())
         return publisher
 
-    def __enter__(self) -> Robot:
+    def __enter__(self) -> "Robot":
         self._thread.start()
         return self
 

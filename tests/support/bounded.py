@@ -23,15 +23,9 @@ def bounded(code: str, *arguments: object) -> str:
 
     Whoever takes more is refused memory, or killed (Linux).
     """
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        [sys.executable, "-c", _PRELUDE + code, *map(str, arguments)],
-        stdin=pipe,
-        stdout=pipe,
-        stderr=pipe,
-        text=True,
-        env=os.environ | _FEW_THREADS | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    ) as child:
+    command, pipe = [sys.executable, "-c", _PRELUDE + code, *map(str, arguments)], subprocess.PIPE
+    environment = os.environ | _FEW_THREADS | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment) as child:
         if child.stdout.readline() == "ready\n":
             pages = int(Path(f"/proc/{child.pid}/statm").read_text().split()[0])
             memory = pages * resource.getpagesize() + MORE_MB * 2**20

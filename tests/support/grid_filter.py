@@ -8,8 +8,6 @@ Plain and exact up to its grid; nothing is sampled. [Thrun, Burgard, Fox 2005, t
     grid.mean, grid.cov
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -36,7 +34,7 @@ class GridFilter:
     p: Array
 
     @classmethod
-    def gaussian(cls, x: Array, z: Array, heading: Array, mean: Array, cov: Array) -> GridFilter:
+    def gaussian(cls, x: Array, z: Array, heading: Array, mean: Array, cov: Array) -> "GridFilter":
         """Return N(mean (3,), cov (3, 3)) on these axes, the heading wrapped."""
         grid = cls(x, z, heading, np.full((len(x), len(z), len(heading)), 1.0 / (len(x) * len(z) * len(heading))))
         error = grid.poses - mean
@@ -61,7 +59,7 @@ class GridFilter:
         error[:, 2] = wrap_angle(error[:, 2])
         return (error * self.p.reshape(-1, 1)).T @ error
 
-    def update(self, log_likelihood: Callable[[Array], Array]) -> GridFilter:
+    def update(self, log_likelihood: Callable[[Array], Array]) -> "GridFilter":
         """Return p(pose | measurement): log_likelihood maps poses (N, 3) to (N,), up to a constant.
 
         Cells that could not matter (below 1e-12 of the best) are not evaluated and become 0.
@@ -72,7 +70,7 @@ class GridFilter:
         log_posterior[likely] = np.log(flat[likely]) + log_likelihood(self.poses[likely])
         return self._with(np.exp(log_posterior - log_posterior.max()))
 
-    def predict(self, increment: Increment, noise_cov: Array) -> GridFilter:
+    def predict(self, increment: Increment, noise_cov: Array) -> "GridFilter":
         """Return p(next pose) after the motion `increment`.mean + N(0, noise_cov), both in the robot's frame.
 
         noise_cov: (3, 3) of (right, backward, turn). For every pair of headings the slice is shifted by the motion that
@@ -116,5 +114,5 @@ class GridFilter:
         blur = cov[0, 0] * kx**2 + 2 * cov[0, 1] * kx * kz + cov[1, 1] * kz**2
         return np.exp(-1j * (kx * mean[0] + kz * mean[1]) - 0.5 * blur)
 
-    def _with(self, weight: Array) -> GridFilter:
+    def _with(self, weight: Array) -> "GridFilter":
         return replace(self, p=(weight / weight.sum()).reshape(self.p.shape))

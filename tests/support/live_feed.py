@@ -1,7 +1,5 @@
 """A robot's messages for a live run in this process: time is what the messages say, nothing waits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -100,7 +98,7 @@ class Feed:
         self.tracker = Tracker(finder, localiser_of, landmark_map, clocks, outputs, self.start, self.resumed)
         self.run = LiveRun(Inbox(), self.tracker, clocks, outputs, CORRIDOR)
 
-    def __call__(self, arrivals: Iterable[Arrival], each: Callable[[], None] = lambda: None) -> Feed:
+    def __call__(self, arrivals: Iterable[Arrival], each: Callable[[], None] = lambda: None) -> "Feed":
         """Feed messages one after another, as a robot would that is never too fast."""
         for message in arrivals:
             self.now_ns = max(self.now_ns, message.at_ns)

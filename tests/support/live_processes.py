@@ -41,15 +41,8 @@ class Program:
 
     def __init__(self, *arguments: object, script: Path | None = None, largest_file: int | None = None) -> None:
         what = ["-m", "localiser"] if script is None else [str(script)]
-        pipe = subprocess.PIPE
-        self.process = subprocess.Popen(
-            [sys.executable, *what, *map(str, arguments)],
-            stdin=pipe,
-            stdout=pipe,
-            stderr=pipe,
-            text=True,
-            env=_ENVIRONMENT,
-        )
+        command, pipe = [sys.executable, *what, *map(str, arguments)], subprocess.PIPE
+        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=_ENVIRONMENT)
         if largest_file is not None:  # what would be more fails, as on a full disk
             resource.prlimit(self.process.pid, resource.RLIMIT_FSIZE, (largest_file, largest_file))
         self._queue: Queue[str] = Queue()

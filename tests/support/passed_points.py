@@ -1,7 +1,5 @@
 """Points at unknown distances that a camera passes, and the best density of their bearings afterwards."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +19,7 @@ class PassedPoints:
     turn: float
 
     @classmethod
-    def by(cls, step: tuple[float, float, float], near_m: float) -> PassedPoints:
+    def by(cls, step: tuple[float, float, float], near_m: float) -> "PassedPoints":
         """Return points at an even 1/r, none nearer than near_m."""
         rng = np.random.default_rng(0)
         bearing = rng.uniform(-0.5, 0.5, COUNT)

@@ -1,7 +1,5 @@
 """The motion between two frames, from edges simulated from the equations alone; increments in the filter."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
