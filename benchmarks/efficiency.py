@@ -205,7 +205,7 @@ def strayed(odometry: Trajectory, increments: list[Increment], rng: np.random.Ge
     particle = Particles(POSE, odometry.poses[0][:, None].copy(), np.zeros(1))
     poses = [odometry.poses[0]]
     for increment in increments:
-        particle = motion.predict(particle, increment, MOTION, rng)
+        particle = MOTION.predict(particle, increment, rng)
         poses.append(particle.poses[0])
     return Trajectory(odometry.t_ns, np.array(poses))
 
