@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from localiser.edges import light_of
-from localiser.filter import SURE, LocatedFrame
+from localiser.filter import NOT_FOUND, SURE, LocatedFrame
 from localiser.geometry import Array, between
 
 AGAIN_S = 10.0
@@ -108,7 +108,7 @@ class Monitor:
             self.inform(f"sure of the pose: x = {x:.2f} m, z = {z:.2f} m, heading = {np.degrees(heading):.1f}°{on}")
         if located.warning:
             self.warn("map", located.warning)
-        if self.newest is not None and self.newest.is_found and not frame.is_found:
+        if self.newest is not None and self.newest.is_found and not frame.is_found and located.reason != NOT_FOUND:
             self.warn("lost", f"the robot may be at another place ({located.reason}): the pose may jump there")
         if located.took_over:
             self.warn("takeover", "another place fits better: the pose jumped there")

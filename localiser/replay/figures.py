@@ -146,13 +146,15 @@ def run_metrics(run: Results) -> dict[str, Any]:
     )
     mount, warnings = _mount(run)
     height, height_warnings = _height(run)
+    if not warnings:  # a tilt that is wrong makes the height wrong, too
+        warnings += height_warnings
     clock, clock_warnings = _clock(run)
     warnings += clock_warnings + _light_warnings(run) + _filter_warnings(run) + _silence_warnings(run)
     warnings += run.localiser.markers.warnings(run.localiser.landmark_map)
     if run.localiser.config.increments.source != "vision" and (jumped := jump_text(run.log)):
         warnings.append(jumped)
     in_view, matched = (summary.landmark_use > 0).T
-    figures |= {"biases": _constants(run), "warnings": warnings + height_warnings} | mount | height
+    figures |= {"biases": _constants(run), "warnings": warnings} | mount | height
     figures |= {"map_sigma_factor": round(run.frames[-1].located.map_error.scale, 6)} | clock
     counts = {"known": len(in_view), "in_view": int(in_view.sum()), "matched": int(matched.sum())}
     return figures | {"landmarks": counts}

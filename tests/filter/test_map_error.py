@@ -124,7 +124,7 @@ def test_a_robot_that_is_carried_away_is_found_out_though_the_map_is_poor() -> N
     robot = Localiser(poor, drive.camera, read_config(None, (), drive.settings), 0)
     robot.start(drive.truth[0], np.diag(START_SIGMA**2), int(drive.t_ns[0]))
     frames, _ = located(robot, drive)
-    record, first = record_of(frames, [0.0] * len(frames), drive.truth), drive.carried
+    record, first = record_of(frames, [0.0] * len(frames), drive.truth, drive.landmark_map), drive.carried
     assert record.sure[first - 1]
     assert not (record.sure & ~record.right)[first:].any()
     assert (record.error_m[first + 5 :] < 0.25).all()
