@@ -27,12 +27,12 @@ CORE = ("edges", "landmarks", "particles", "motion", "geometry", "documents", "c
 
 # What is counted: the ceiling of today, and the goal.
 BUDGETS = {
-    "lines: " + ", ".join(FILTER): (6_450, 4_600),
-    "lines: " + ", ".join(CORE): (6_450, 5_200),
-    "lines: around the core": (25_600, 24_500),
-    "lines: all of localiser": (38_450, 34_300),
-    "files: all of localiser": (208, 220),
-    "lines: tests": (29_800, 28_000),
+    "lines: " + ", ".join(FILTER): (6_230, 4_600),
+    "lines: " + ", ".join(CORE): (6_180, 5_200),
+    "lines: around the core": (24_500, 24_500),
+    "lines: all of localiser": (36_880, 34_300),
+    "files: all of localiser": (198, 220),
+    "lines: tests": (28_000, 28_000),
     "lines: benchmarks": (6_500, 6_500),
     "lines: other Python": (1_600, 1_600),
     "words: docs, README, CHANGELOG": (45_000, 45_000),
