@@ -177,7 +177,7 @@ def test_unknown_services_are_refused() -> None:
 
 
 SHIFT = np.array([5.0, 9.0])
-IMAGES = 6
+IMAGES = 12
 
 
 @pytest.fixture
