@@ -89,7 +89,7 @@ def batch(
     failed = failures(rows)
     if not is_quiet():
         show(summary_table(rows))
-        typer.echo(f"Results in {out}: runs.csv, table.md, and a folder for each run in runs/.")
+        typer.echo(f"Results in {out}: runs.csv, and a folder for each run in runs/.")
     for text in failed:
         typer.secho(f"Failed: {text}", fg="red", err=True)
     if others is not None and against is not None:

@@ -130,6 +130,8 @@ _GONE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("--view", "is gone: `localiser replay LOG --map MAP --view native` shows the map", ("map build",)),
     ("--rrd", "is gone: `localiser replay LOG --map MAP` records the drive on the map", ("map build",)),
     ("--log", "is --path LOG now", ("map show",)),
+    ("--write", "is -o LOG now", ("camera tilt", "camera sync")),
+    ("--rrd", "is gone: `localiser replay LOG --map MAP` records the map", ("map show", "map check")),
     ("--poses", "is gone: `localiser map show MAP --path LOG|FILE` draws a path", ("map show", "map check")),
     ("--plan", "is gone: `localiser map show MAP --plan PLAN` draws walls", ("map check",)),
     ("--scale", "is gone: a map and a plan have metres; scale one by its YAML first", ("map align",)),

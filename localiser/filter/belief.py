@@ -304,8 +304,10 @@ class Belief:
 
     # -- what follows from it -----------------------------------------------------------------------------------------
 
-    def found(self, *, is_tracked: bool) -> tuple[Particles, Belief] | None:
+    def found(self, maps: int = 1, *, is_tracked: bool) -> tuple[Particles, Belief] | None:
         """Return the particles at the likeliest place, and the belief in which they are tracked; None if not yet.
+
+        maps: among which places compete.
 
         A place is tracked in the particles' stead at odds of 50 against them, if it is likelier than all else. Where
         none are tracked, it is as soon as hardly any other candidate is left.
@@ -329,11 +331,11 @@ class Belief:
             is_known=False,
             overlooked=self.overlooked,
             history=self.history.entering(self.here),
-            near=self.near.elsewhere(),
+            near=self.near.elsewhere(maps),
         )
 
-    def released(self, cloud: Particles) -> Belief:
-        """Return the belief in which the particles that were tracked are candidates."""
+    def released(self, cloud: Particles, maps: int = 1) -> Belief:
+        """Return the belief in which the particles that were tracked are candidates. maps: as for `found`."""
         belief = self._with(Candidates.of(cloud, self.detections), self.here)
         unknown = DetectionRate.unknown()
         return replace(
@@ -344,7 +346,7 @@ class Belief:
             visibility=Visibility(),
             shown=unknown,
             is_known=False,
-            near=self.near.elsewhere(),
+            near=self.near.elsewhere(maps),
         )
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:

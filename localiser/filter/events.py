@@ -151,7 +151,7 @@ class Located:
     at, else "".
     wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
     odometry_jumped: whether odometry began anew since the last image, so that the motion was bridged.
-    took_over: whether another place is tracked since this image, so that the pose jumped there.
+    took_over: whether the pose jumped to another place than was tracked until this image.
     """
 
     t_ns: int

@@ -19,7 +19,7 @@ from localiser import particles
 from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief, Move
-from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_silent, moves_between
+from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_near, is_silent, moves_between
 from localiser.filter.height import (
     COARSE_NOVELTY,
     LEAST_NOVELTY,
@@ -205,9 +205,11 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         state.inliers = found.inliers
     state.scene, state.attitude = image.scene, image.attitude
     # Compare: is the robot at another place, or not on this map at all?
-    weighed, took_over = _compared(mcl, state, found, image, rng)
+    weighed = _compared(mcl, state, found, image, rng)
     # Estimate: before resampling, which only adds noise. Which landmark does each edge show from there?
-    located, association = _located(mcl, state, weighed, measured, image, took_over)
+    located, association = _located(mcl, state, weighed, measured, image)
+    if found is not None and not is_near(particles.estimate(found.particles).pose[None], located.estimate.pose).all():
+        located = replace(located, took_over=True)
     # Learn: which edges are clutter, which landmarks are seen, how far do edges, the camera's height and the map err?
     clutter = _clutter(state, weighed, located, association)
     if weighed is not None and mcl.search is not None:
@@ -358,14 +360,11 @@ def _contradicted(
 
 def _compared(
     mcl: Mcl, state: FilterState, found: Weighed | None, image: _Image, rng: np.random.Generator
-) -> tuple[Particles | None, bool]:
-    """Return the particles that are tracked from now on, and whether they took the place of others.
-
-    None while there are candidates only.
-    """
+) -> Particles | None:
+    """Return the particles that are tracked from now on; None while there are candidates only."""
     weighed = None if found is None else found.particles
     if mcl.search is None:
-        return weighed, False
+        return weighed
     move = Move(image.drive.increment, mcl.motion, lambda cloud: mcl.moved(cloud, image.drive.moves, rng))
     like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
     belief = state.belief.after(mcl.search, found, like, image.sighting, image.jump, move, rng)
@@ -373,13 +372,14 @@ def _compared(
         belief = belief.beside(particles.estimate(weighed).pose)
     elif belief.candidates is None:
         belief = replace(belief, candidates=mcl.search.anywhere(like, mcl.search.parameters.particles_most, rng))
-    other = belief.found(is_tracked=weighed is not None)
+    maps = len(mcl.landmark_map.maps)
+    other = belief.found(maps, is_tracked=weighed is not None)
     if other is not None:
         weighed, belief = other
     elif weighed is not None and belief.here < RELEASED:
-        belief, weighed = belief.released(weighed), None
+        belief, weighed = belief.released(weighed, maps), None
     state.belief = belief
-    return weighed, other is not None and found is not None
+    return weighed
 
 
 def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Particles:
@@ -391,7 +391,7 @@ def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Pa
 
 
 def _located(
-    mcl: Mcl, state: FilterState, weighed: Particles | None, measured: Sighting, image: _Image, took_over: bool
+    mcl: Mcl, state: FilterState, weighed: Particles | None, measured: Sighting, image: _Image
 ) -> tuple[Located, Association | None]:
     """Return what is known of the robot, and how the edges compare with the landmarks that it sees."""
     belief, association = state.belief, None
@@ -412,7 +412,6 @@ def _located(
         warning=belief.warning,
         wheels_are_wrong=state.wheels.are_wrong,
         odometry_jumped=image.drive.jumped,
-        took_over=took_over,
         clusters=clusters,
         attitude=state.attitude,
         height=state.height,

@@ -98,7 +98,7 @@ class Monitor:
                 self.say(f"{role}: nothing for {SILENT_S:g} s; waiting for it to come back", "WARNING")
 
     def located(self, frame: LocatedFrame, latency_ms: float, work_ms: float, error_m: float | None) -> None:
-        """Count an image that was located; say when the robot is found, and when the map stops to fit."""
+        """Count an image that was located; say when the robot is found, and when the map no longer fits."""
         located, landmark = frame.located, frame.matches.landmark
         sure = located.p_correct > SURE
         self.counts.update(located=1, sure=sure, edges=len(landmark), matched=int((landmark >= 0).sum()))

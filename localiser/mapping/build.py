@@ -84,7 +84,7 @@ def require_landmarks(
     elif one_sided > 0.5 or widest[followed].max() < parameters.parallax_min_deg:
         problem = (
             f"expected edges seen from directions {parameters.parallax_min_deg:g}° apart, found that "
-            f"{100 * one_sided:.0f} % of the edges are not, and none from more than {widest[followed].max():.1f}°: "
+            f"{100 * one_sided:.0f} % of the edges are not (the widest: {widest[followed].max():.1f}°): "
             "too little parallax to tell distances; drive past things, not only towards them"
         )
     else:

@@ -25,10 +25,10 @@ number of threads share the work.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -84,14 +84,9 @@ class EdgeObservation:
     camera: Camera
     parameters: ObservationParameters
 
-    @cached_property
-    def frame(self) -> Callable[[Edges], Frame]:
-        """Returns the edges of an image as they are compared, by the camera as it was mounted then."""
-
-        def of(edges: Edges) -> Frame:
-            return Frame(edges, self.camera.at(edges.mount), self.parameters)
-
-        return lru_cache(FRAMES)(of)
+    def frame(self, edges: Edges) -> Frame:
+        """Return the edges of an image as they are compared, by the camera as it was mounted then."""
+        return _frame(self, edges)
 
     def on_processors(self, most: int) -> EdgeObservation:
         """Return the same, which weighs by as many threads as there are processors; results do not depend on it.
@@ -328,3 +323,8 @@ def in_cells_loop(
         order[place[cell[n]]] = n
         place[cell[n]] += 1
     return run, order, low, per_unit, shape.astype(np.int64)
+
+
+@lru_cache(FRAMES)
+def _frame(observation: EdgeObservation, edges: Edges) -> Frame:
+    return Frame(edges, observation.camera.at(edges.mount), observation.parameters)

@@ -1,4 +1,4 @@
-"""The loops of `likelihood`, compiled by numba when this module is imported and its functions are first called.
+"""The loops of `edge_observation`, compiled by numba when this module is imported and its functions are first called.
 
 The particles of a cell share the list of landmarks that can be in view. A block of particles is processed one landmark
 at a time. Particles of one cell expect it at nearly the same angle, so the edges near it are nearly the same for all of

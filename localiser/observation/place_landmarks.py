@@ -118,9 +118,9 @@ class NearLandmarks:
         """Whether so few are there that this is no map of what is seen from the tracked place."""
         return self.probability < UNLIKELY
 
-    def elsewhere(self) -> NearLandmarks:
-        """Return what is known when another place is tracked."""
-        return NearLandmarks(before=min(self.log_odds, 0.0), maps=self.maps)
+    def elsewhere(self, maps: int) -> NearLandmarks:
+        """Return what is known when another place is tracked, which was found among so many maps."""
+        return NearLandmarks(before=min(self.log_odds, 0.0), maps=maps)
 
     def after(self, matches: Matches, points: Array, pose: Array, novelty: float) -> NearLandmarks:
         """Return what is known after an image.

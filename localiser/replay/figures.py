@@ -187,7 +187,7 @@ def _filter_warnings(run: Results) -> list[str]:
         )
     if (jumped := run.summary.took_over).any():
         texts.append(
-            f"Another place fitted better than the one that was believed {jumped.sum()}×, for the first time after "
+            f"{jumped.sum()}× another place fitted better than the one that was believed, first after "
             f"{seconds[jumped][0]:.1f} s: the pose jumped there."
         )
     wrong = run.summary.wheels_are_wrong

@@ -25,7 +25,7 @@ from localiser.edges import Edges
 from localiser.errors import InputError
 from localiser.filter import FilterState, Odometry
 from localiser.geometry import Increment
-from localiser.observation import NearLandmarks, Visibility
+from localiser.observation import NearLandmarks, Sighting, Visibility
 from localiser.particles import Particles
 
 FORMAT = "localiser-checkpoint/4"
@@ -209,11 +209,17 @@ def require_sound(value: Any) -> None:
 
 def _particles(value: Particles) -> None:
     columns, errors = (len(value.names), len(value.log_weight)), len(value.names) - 3
-    fits = value.columns.shape == columns and value.constant_error_cov.shape == (errors, errors)
+    fits = value.columns.shape == columns and value.constant_error_cov.shape in ((errors, errors), (0, 0))
     if not fits or not columns[1] or not np.isfinite(value.columns).all():
         raise ValueError(f"expected particles of {columns} finite numbers, found {value.columns.shape} or others")
     if not np.isfinite(value.log_weight.max()):
         raise ValueError("expected particles of some weight, found none")
+
+
+def _sighting(value: Sighting) -> None:
+    for part in (value.persistent, value.scene, value.clutter):
+        if part is not None and not (part.shape == value.edges.bearing.shape and (part >= 0).all()):
+            raise ValueError(f"expected {len(value.edges)} numbers of clutter of at least 0, found others")
 
 
 def _edges(value: Edges) -> None:
@@ -251,6 +257,7 @@ _FITTING: dict[type, Callable[[Any], None]] = {
     Increment: _increment,
     Visibility: _of_landmarks,
     NearLandmarks: _of_landmarks,
+    Sighting: _sighting,
     Odometry: _odometry,
 }
 """What raises ValueError where the parts of a value of this type do not fit each other."""

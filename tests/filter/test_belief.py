@@ -150,7 +150,7 @@ def test_a_floor_that_nobody_mapped_is_as_likely_as_one_that_was_until_landmarks
         located(robot, replace(drive, t_ns=drive.t_ns[:4], edges=drive.edges[:4]))
         assert robot.state.belief.near.maps == maps
     found = NearLandmarks(maps=2)
-    assert found.probability == found.elsewhere().probability == pytest.approx(2 / 3)
+    assert found.probability == found.elsewhere(2).probability == pytest.approx(2 / 3)
     belief = Belief(0.9, 0.05, 0.0, 0.05, near=found)
     assert belief.p_correct(CLOUD, np.zeros(3), is_tracked=True) == pytest.approx(0.6) and not belief.warning
     assert belief.reason(0.6, Sighting(0, measurement=np.zeros(1))) == "several places fit"
