@@ -3,7 +3,7 @@
 Buildings are those of `scale_building.py`. The first rooms are the same in all of them, and tracking is measured there,
 so that only what is far away differs. Each size runs in a process of its own, with compiled loops loaded before.
 
-    read     the map's file, s: as YAML, and again from what is kept of it
+    read     the map's file, s
     start    s, from a map in memory to a localiser that is ready
     MB       more than a process that has the loops and a map of 50 landmarks: after the start
     track    ms of the thread an image: median and 95 % over a drive
@@ -37,7 +37,7 @@ from localiser import Localiser, read_map, write_map
 TRACKED, SEARCHED = 150, 60  # images
 FIRST_ROOM = 2
 MOST_YAML = 20_000  # landmarks, above which writing and reading the text takes minutes
-HEADS = ("landmarks", "read", "again", "start", "MB", "track", "95 %", "found", "worst", "ms most")
+HEADS = ("landmarks", "read", "start", "MB", "track", "95 %", "found", "worst", "ms most")
 
 
 def memory_mb() -> float:
@@ -79,12 +79,9 @@ def _read(floor: Any) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "map.yaml"
         write_map(floor.landmark_map, path)
-        times = []
-        for _ in range(2):
-            begin = perf_counter()
-            read_map(path)
-            times.append(perf_counter() - begin)
-    return {"read_s": times[0], "again_s": times[1]}
+        begin = perf_counter()
+        read_map(path)
+        return {"read_s": perf_counter() - begin}
 
 
 def table_of(rows: list[dict[str, Any]]) -> Table:
@@ -95,7 +92,7 @@ def table_of(rows: list[dict[str, Any]]) -> Table:
     for row in rows:
         table.add_row(
             str(row["landmarks"]),
-            *(f"{row[name]:.2f} s" if name in row else "" for name in ("read_s", "again_s", "start_s")),
+            *(f"{row[name]:.2f} s" if name in row else "" for name in ("read_s", "start_s")),
             f"{row['mb']:.0f}",
             *(f"{row[name]:.1f} ms" for name in ("track_ms", "track_95_ms")),
             f"{row['found']:.0f}",
