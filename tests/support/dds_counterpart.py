@@ -135,7 +135,7 @@ def ask(participant: DomainParticipant) -> None:
     answers = DataReader(participant, Topic(participant, f"rr/{name}Reply", EmptyResponse), quality())
     for number in range(int(PATIENCE_S)):
         requests.write(EmptyRequest(2**63 + 5, number))
-        answer = answers.take_one(timeout=duration(seconds=1))
+        answer = next(answers.take_iter(timeout=duration(seconds=1)), None)
         if answer is not None:
             sys.stdout.write(f"{answer.asker - 2**63} answered\n")
             return
