@@ -159,6 +159,8 @@ class EdgeObservation:
                 visibility[row] = view.visibility
         result = np.empty((len(views), odds.shape[1], count))
 
+        in_cells = entry(in_cells_loop)
+
         def weigh(part: slice) -> None:
             """Weigh so few particles that all about them stays in the cache."""
             from localiser.observation import likelihood_kernel as kernel
@@ -169,7 +171,7 @@ class EdgeObservation:
             heading, poses = some[2] + some[3], some.T.copy()
             low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
             by_heading = np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
-            run, order, low, per_unit, shape = entry(in_cells_loop)(poses, by_heading)
+            run, order, low, per_unit, shape = in_cells(poses, by_heading)
             half_view_rad = float(np.arctan(widest) + np.abs(some[3]).max())
             start, item = in_view_of_cells(
                 run, low, per_unit, shape, landmarks, half_view_rad, farthest_m, reach, offset
@@ -277,6 +279,11 @@ class EdgeObservation:
         return EarlierFrame(frame, np.array([right, back, since.mean[2] + (mount[2] - then[2])]), turn_var)
 
 
+@lru_cache(FRAMES)
+def _frame(observation: EdgeObservation, edges: Edges) -> Frame:
+    return Frame(edges, observation.camera.at(edges.mount), observation.parameters)
+
+
 def landmark_table(landmark_map: LandmarkMap, sigma_m: float) -> Array:
     """Return the landmarks (L, 6) as the loop takes them, heights (m) and sigmas (m) as the map has them."""
     columns: list[NDArray[Any]] = [
@@ -323,8 +330,3 @@ def in_cells_loop(
         order[place[cell[n]]] = n
         place[cell[n]] += 1
     return run, order, low, per_unit, shape.astype(np.int64)
-
-
-@lru_cache(FRAMES)
-def _frame(observation: EdgeObservation, edges: Edges) -> Frame:
-    return Frame(edges, observation.camera.at(edges.mount), observation.parameters)
