@@ -80,6 +80,8 @@ def _point_latest(logs: Path, number: str) -> None:
     with suppress(OSError, NotImplementedError):
         draft.symlink_to(number, target_is_directory=True)
         draft.replace(logs / LATEST)
+        return
+    draft.unlink(missing_ok=True)
 
 
 # -- JSON -------------------------------------------------------------------------------------------------------------
