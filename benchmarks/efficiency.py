@@ -31,8 +31,7 @@ from localiser.edges import Edges
 from localiser.filter import Event, FilterState, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.motion import MotionParameters
-from localiser.motion.constant_errors import EXACT
+from localiser.motion import EXACT, MotionParameters
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles
 from localiser.simulate import structure_of, truth_of, world_of

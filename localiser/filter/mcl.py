@@ -34,7 +34,7 @@ from localiser.filter.tempering import Tempering, Weighed
 from localiser.filter.wheels import MOST_EDGES, Evidence, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
-from localiser.motion import LinearisedMotion, MotionModel, MotionParameters, covariance_of
+from localiser.motion import MotionModel, MotionParameters, covariance_of
 from localiser.observation import (
     Association,
     EarlierImage,
@@ -149,7 +149,7 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
     match event:
         case Start():
             cloud = particles.from_gaussian(event.mean, event.cov, mcl.parameters.start_particles, rng)
-            if isinstance(mcl.motion, LinearisedMotion):
+            if isinstance(mcl.motion, MotionParameters):
                 cloud = mcl.motion.at_start(cloud, rng)
             state.particles = cloud
             state.at_ns, state.weighed, state.seen, state.scene = event.t_ns, False, None, Scene()
@@ -261,7 +261,7 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
     elif not state.is_begun or sighting.t_ns < state.at_ns:
         raise ValueError("an image came before any start pose")
     motion, seen = mcl.motion, state.seen
-    delay_s = motion.delay_sigma_s if isinstance(motion, LinearisedMotion) else 0.0
+    delay_s = motion.bias.delay_sigma_s if isinstance(motion, MotionParameters) else 0.0
     moves, odometry_pose, jumped = moves_between(state.odometry, state.at_ns, sighting.t_ns, delay_s)
     increment, seconds = reduce(Increment.then, moves), (sighting.t_ns - state.at_ns) / 1e9
     if mcl.odometer is not None and mcl.odometer.follows_edges and seconds > 0:
@@ -303,7 +303,7 @@ def _weighed(
     if isinstance(observation, EdgeObservation):
         if not state.weighed:  # many particles, many times: all wait for it
             observation = observation.on_processors(FIRST_THREADS)
-        elif isinstance(mcl.motion, LinearisedMotion) and len(image.sighting.edges) and image.novelty > 0:
+        elif isinstance(mcl.motion, MotionParameters) and len(image.sighting.edges) and image.novelty > 0:
             targets = observation.associate_cloud(few, image.sighting, mcl.landmark_map).targets(inliers.mean)
             proposal = OptimalProposal(
                 observation.camera.at(image.sighting.edges.mount),
@@ -387,7 +387,7 @@ def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Pa
     if state.belief.candidates is not None:
         return state.belief.candidates.particles
     origin = particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), mcl.parameters.start_particles, rng)
-    return mcl.motion.with_constant_errors(origin) if isinstance(mcl.motion, LinearisedMotion) else origin
+    return mcl.motion.with_constant_errors(origin) if isinstance(mcl.motion, MotionParameters) else origin
 
 
 def _located(

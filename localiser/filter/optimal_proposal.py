@@ -24,7 +24,7 @@ import numpy as np
 from localiser import particles
 from localiser.camera import Camera
 from localiser.geometry import MANY, Array, Increment, cos_sin
-from localiser.motion import LinearisedMotion, MotionParameters, Step
+from localiser.motion import MotionParameters, Step
 from localiser.observation import Targets
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
 
@@ -46,7 +46,7 @@ class OptimalProposal:
     resample_below: float
 
     def moved(
-        self, cloud: Particles, increment: Increment, motion: LinearisedMotion, rng: np.random.Generator
+        self, cloud: Particles, increment: Increment, motion: MotionParameters, rng: np.random.Generator
     ) -> Particles:
         """Return the particles moved by `increment` to where the edges say, with weights that take that back."""
         count, left = len(cloud), 1.0

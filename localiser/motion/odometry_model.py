@@ -1,33 +1,72 @@
-"""The motion model of a wheeled robot: rotation, translation, rotation [Thrun, Burgard, Fox 2005, table 5.6].
+"""The motion model of a wheeled robot, and a Kalman filter for its constant errors inside every particle.
 
-The noise grows with the path, as in a random walk, so it does not depend on how the path is divided: variances add up
-over a chain of increments. The parameters have AMCL's names. AMCL's own are per step of a filter with a fixed rate;
-these are per metre and per radian.
+The model is rotation, translation, rotation [Thrun, Burgard, Fox 2005, table 5.6]. The noise grows with the path, as in
+a random walk, so it does not depend on how the path is divided: variances add up over a chain of increments. The
+parameters have AMCL's names. AMCL's own are per step of a filter with a fixed rate; these are per metre and per radian.
+
+Five errors of a robot stay constant while it drives: the scale of the wheels' distance, the scale of their turn, the
+veer (a turn while the wheels measure straight motion), the delay behind its odometry, and the camera's yaw. Given the
+path of the camera, they are observed through a linear model with Gaussian noise, so they need not be sampled. A
+particle has their mean. Their covariance depends on the odometry alone, so it is the same for all particles
+(Rao-Blackwell) [Doucet, de Freitas, Murphy, Russell 2000; Schön, Gustafsson, Nordlund 2005].
+
+    step = (along, left, turn) = odometry + H β + noise,    β = (distance_scale, turn_scale, veer, delay, camera_yaw)
+
+A particle's pose and its mean yaw together are one pose of the *camera*, which is what edges measure. The yaw is the
+direction in which the camera is moved, so driving straight ahead determines it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import Annotated, Protocol, runtime_checkable
+from functools import cached_property, lru_cache
+from typing import Annotated, Protocol
 
 import numpy as np
 from pydantic import Field
 
 from localiser.geometry import Array, Increment, cos_sin, wrap_angle
 from localiser.geometry.compiled import compiled
-from localiser.motion.constant_errors import (
-    CONSTANT_ERRORS,
-    ConstantErrorParameters,
-    StepSpread,
-    at_start,
-    forgotten,
-    projected,
-    with_constant_errors,
-)
-from localiser.particles import CAMERA_YAW, Particles
+from localiser.particles import CAMERA_YAW, Particles, centred, estimate
 
+CONSTANT_ERRORS = ("distance_scale", "turn_scale", "veer", "delay", CAMERA_YAW)
 SLIP = 0.1  # sigma of slipping sideways, as a share of that along the way: no wheel is quite true
+
+
+class MotionModel(Protocol):
+    """Anything that moves particles by an increment."""
+
+    def predict(self, particles: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
+        """Return the particles moved by `increment`, each with its own draw of the noise."""
+        ...
+
+
+@dataclass(frozen=True)
+class ConstantErrorParameters:
+    """How far wheels and mount may be wrong all the time (one sigma each); 0: not at all."""
+
+    distance_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' distance, as a share")] = 0.02
+    turn_sigma: Annotated[float, Field(ge=0, le=1, description="of the wheels' turn, as a share")] = 0.03
+    veer_sigma_deg_per_m: Annotated[
+        float, Field(ge=0, le=90, description="turn of the robot while the wheels say straight on (degrees/m)")
+    ] = 0.5
+    delay_sigma_s: Annotated[
+        float, Field(ge=0, le=1, description="by how much the robot is later, or earlier, than odometry says (s)")
+    ] = 0.0
+    yaw_sigma_deg: Annotated[float, Field(ge=0, le=90, description="of the camera's stated yaw (degrees)")] = 1.0
+    memory_m: Annotated[
+        float, Field(gt=0, description="way after which an estimate of them is forgotten: tyres, floors, loads (m)")
+    ] = 500.0
+
+    @cached_property
+    def cov(self) -> Array:
+        """Prior covariance (5, 5) of `CONSTANT_ERRORS`: shares, rad/m, s, rad."""
+        veer, yaw = np.deg2rad([self.veer_sigma_deg_per_m, self.yaw_sigma_deg])
+        return np.diag(np.square([self.distance_sigma, self.turn_sigma, veer, self.delay_sigma_s, yaw]))
+
+
+EXACT = ConstantErrorParameters(0.0, 0.0, 0.0, 0.0, 0.0)
+"""Of a robot without constant errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +79,28 @@ class MotionParameters:
     alpha4: Annotated[float, Field(ge=0, description="distance variance from turning (m² per rad)")] = 1e-4
     bias: ConstantErrorParameters = field(default_factory=ConstantErrorParameters)
 
-    # The model with these parameters, as `MotionModel` and `LinearisedMotion` ask for it.
+    # The model with these parameters. Of any other one only `predict` is asked.
 
-    @property
-    def delay_sigma_s(self) -> float:
-        """By how much the robot may be later than its odometry, one sigma."""
-        return self.bias.delay_sigma_s
+    def with_constant_errors(self, particles: Particles) -> Particles:
+        """Return particles of poses that a camera was found at, with `CONSTANT_ERRORS` as the prior has them."""
+        columns = np.concatenate([particles.columns, np.zeros((len(CONSTANT_ERRORS), len(particles)))])
+        names = (*particles.names, *CONSTANT_ERRORS)
+        return replace(particles, names=names, columns=columns, constant_error_cov=self.bias.cov.copy())
+
+    def at_start(self, particles: Particles, rng: np.random.Generator) -> Particles:
+        """Return particles of stated robot poses, with `CONSTANT_ERRORS` as the prior has them.
+
+        Each pose becomes one of the camera by a draw of the yaw. What is then known of the yaw follows from how wide
+        the headings were: all where they are certain, nothing where they go all around.
+        """
+        found, cloud = self.with_constant_errors(particles), estimate(particles)
+        yaw_var = self.bias.cov[-1, -1]
+        share = yaw_var / max(yaw_var + cloud.cov[2, 2], 1e-300)
+        camera_heading = particles["heading"] + np.sqrt(yaw_var) * rng.standard_normal(len(particles))
+        found.columns[-1] = share * wrap_angle(camera_heading - cloud.mean[2])
+        found.columns[2] = wrap_angle(camera_heading - found.columns[-1])
+        found.constant_error_cov[-1, -1] *= 1 - share
+        return found
 
     def predict(self, particles: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
         """Return the particles moved by `increment`, each with its own draw of the noise."""
@@ -59,19 +114,20 @@ class MotionParameters:
         correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own
         covariance (vision) errs by a draw from that instead, and tells nothing of them.
         """
-        ahead_m, _, noise, effects = _step_of(increment, self)
-        none = np.zeros(3)
-        effect = dict(zip(CONSTANT_ERRORS, effects, strict=True))
+        direction, ahead_m, _, noise, effects = _step_of(increment, self)
+        effect, none = dict(zip(CONSTANT_ERRORS, effects, strict=True)), np.zeros(3)
         by_constant_error = np.array([effect.get(name, none) for name in particles.names[3:]]).reshape(-1, 3).T
         cov = by_constant_error @ particles.constant_error_cov @ by_constant_error.T + noise
         variance, axes = np.linalg.eigh(cov)
+        root = np.asarray(axes * np.sqrt(np.maximum(variance, 0.0)))
+        whitened = np.asarray(axes / np.sqrt(np.where(variance > 1e-14 * variance[-1], variance, np.inf)))
         start = particles.columns[:3].copy()
         if CAMERA_YAW in particles.names:
             start[2] += particles[CAMERA_YAW]  # of the camera, by which the constant errors are seen
-        cos, sin = cos_sin(start[2] + direction_of_travel(increment))
+        cos, sin = cos_sin(start[2] + direction)
         expected = by_constant_error @ particles.columns[3:]
         expected += np.array([[ahead_m], [0.0], [increment.mean[2]]])
-        return Step(start, cos, sin, expected, by_constant_error, StepSpread(axes, variance))
+        return Step(start, cos, sin, expected, by_constant_error, root, whitened)
 
     def stepped(self, particles: Particles, step: Step, normal: Array, increment: Increment) -> Particles:
         """Return the particles after steps drawn as `normal` (3, N), and what these told of the constant errors.
@@ -80,8 +136,8 @@ class MotionParameters:
         S = H P Hᵀ + noise. Both mean and covariance P of these are updated by it as by a measurement.
         """
         columns = np.empty_like(particles.columns, order="C")
-        compiled(step_loop)(step.start, step.cos, step.sin, step.expected, step.spread.root, normal, columns)
-        gain = particles.constant_error_cov @ step.by_constant_error.T @ step.spread.whitened
+        compiled(step_loop)(step.start, step.cos, step.sin, step.expected, step.root, normal, columns)
+        gain = particles.constant_error_cov @ step.by_constant_error.T @ step.whitened
         columns[3:] = particles.columns[3:] + gain @ normal
         if CAMERA_YAW in particles.names:
             columns[2] -= columns[particles.names.index(CAMERA_YAW)]
@@ -91,18 +147,44 @@ class MotionParameters:
 
     def covariance(self, increment: Increment) -> Array:
         """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
-        _, from_robot, noise, effects = _step_of(increment, self)
+        _, _, from_robot, noise, effects = _step_of(increment, self)
         by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
         doubt = by_constant_error @ self.bias.cov[:-1, :-1] @ by_constant_error.T
         return np.asarray(from_robot.T @ (noise + doubt) @ from_robot)
 
-    def at_start(self, particles: Particles, rng: np.random.Generator) -> Particles:
-        """See `constant_errors.at_start`."""
-        return at_start(particles, self.bias, rng)
 
-    def with_constant_errors(self, particles: Particles) -> Particles:
-        """See `constant_errors.with_constant_errors`."""
-        return with_constant_errors(particles, self.bias)
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """How N particles are about to move.
+
+    start: (3, N) poses, with the camera's heading. cos, sin: (N,) of the directions of travel. expected: (3, N) steps
+    (along, left, turn). by_constant_error: (3, B), their derivatives. root: S^½ (3, 3) of the covariance S = H P Hᵀ +
+    noise; a step is its mean plus this times three standard normal draws. whitened: S^(-½) (3, 3), 0 along directions
+    in which nothing can happen.
+    """
+
+    start: Array
+    cos: Array
+    sin: Array
+    expected: Array
+    by_constant_error: Array
+    root: Array
+    whitened: Array
+
+    @property
+    def poses(self) -> Array:
+        """Where (3, N) the steps that are expected lead."""
+        return self.start + _in_map(self.expected, self.cos, self.sin)
+
+    @property
+    def axes(self) -> Array:
+        """Derivatives (3, 3, N) of the poses by the standardised step, which is three standard normal draws."""
+        return _in_map(self.root[..., None], self.cos, self.sin)
+
+
+def covariance_of(model: MotionModel, increment: Increment) -> Array:
+    """Return the covariance (3, 3) of a motion as the model has it, else as the increment states it."""
+    return model.covariance(increment) if isinstance(model, MotionParameters) else increment.cov
 
 
 def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple[float, float]:
@@ -118,7 +200,47 @@ def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple
     return distance, turn
 
 
-@lru_cache(maxsize=64)  # asked for many times in a step, each time by arrays of a single number
+def linearised(pose: Array, increment: Increment, parameters: MotionParameters) -> tuple[Array, Array]:
+    """Return F = ∂(next pose)/∂(pose) and Q, the covariance of the noise, both (3, 3) in the map, at `pose` (3,).
+
+    The first-order form of `predict` where no constant error is in doubt, for the posterior Cramér-Rao bound.
+    """
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    right, backward = increment.mean[:2]
+    jac_pose = np.eye(3)
+    jac_pose[:2, 2] = [-sin * right + cos * backward, -cos * right - sin * backward]
+    direction, _, _, noise, _ = _step_of(increment, parameters)
+    to_map = _from_step(float(pose[2]) + direction)
+    return jac_pose, np.asarray(to_map @ noise @ to_map.T)
+
+
+@lru_cache(maxsize=64)  # of one motion asked for several times in a step
+def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float, float, Array, Array, Array]:
+    """Return direction, length, rotation (3, 3) from the robot frame, noise (3, 3) and derivatives (5, 3) of a step.
+
+    A step is (along the way m, to its left m, turn rad), along the chord of the motion, negative when backward. Half of
+    the turn comes before the translation, which the camera's own yaw turns the other way. Derivatives are by
+    `CONSTANT_ERRORS`, of which an increment that wheels alone did not measure tells nothing.
+    """
+    direction, turn = direction_of_travel(increment), float(increment.mean[2])
+    from_robot = _from_step(direction).T
+    ahead_m = float(increment.mean[:2] @ from_robot[0, :2])
+    distance_var, turn_var = noise_variances(increment, parameters)
+    noise = np.diag([distance_var, SLIP**2 * distance_var + ahead_m**2 * turn_var / 2, turn_var])
+    noise[1, 2] = noise[2, 1] = ahead_m * turn_var / 2
+    if increment.cov.any():
+        noise = np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
+        return direction, ahead_m, from_robot, noise, np.zeros((len(CONSTANT_ERRORS), 3))
+    effects = [
+        (ahead_m, 0.0, 0.0),  # of the scale of distances
+        (0.0, ahead_m * turn / 2, turn),  # of turns
+        (0.0, ahead_m * ahead_m / 2, ahead_m),  # of the veer
+        from_robot @ increment.by_delay,
+        (0.0, -ahead_m, 0.0),  # of the camera's yaw
+    ]
+    return direction, ahead_m, from_robot, noise, np.array(effects)
+
+
 def direction_of_travel(increment: Increment) -> float:
     """Return the angle (rad) from the robot's forward axis, anticlockwise, along which distance noise acts.
 
@@ -131,69 +253,10 @@ def direction_of_travel(increment: Increment) -> float:
     return float((angle + np.pi / 2) % np.pi - np.pi / 2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Step:
-    """How N particles are about to move.
-
-    start: (3, N) poses, with the camera's heading. cos, sin: (N,) of the directions of travel. expected: (3, N) steps
-    (along, left, turn). by_constant_error: (3, B), their derivatives.
-    """
-
-    start: Array
-    cos: Array
-    sin: Array
-    expected: Array
-    by_constant_error: Array
-    spread: StepSpread
-
-    @property
-    def poses(self) -> Array:
-        """Where (3, N) the steps that are expected lead."""
-        return self.start + _in_map(self.expected, self.cos, self.sin)
-
-    @property
-    def axes(self) -> Array:
-        """Derivatives (3, 3, N) of the poses by the standardised step, which is three standard normal draws."""
-        return _in_map(self.spread.root[..., None], self.cos, self.sin)
-
-
-@lru_cache(maxsize=64)  # of one motion asked for several times in a step
-def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float, Array, Array, Array]:
-    """Return length, rotation (3, 3) from the robot frame, noise (3, 3) and derivatives (5, 3) of a step.
-
-    A step is (along the way m, to its left m, turn rad), along the chord of the motion, negative when backward. Half of
-    the turn comes before the translation, which the camera's own yaw turns the other way. Derivatives are by
-    `CONSTANT_ERRORS`, of which an increment that wheels alone did not measure tells nothing.
-    """
-    from_robot, turn = _map_from_step(0.0, increment).T, float(increment.mean[2])
-    ahead_m = float(increment.mean[:2] @ from_robot[0, :2])
-    distance_var, turn_var = noise_variances(increment, parameters)
-    noise = np.diag([distance_var, SLIP**2 * distance_var + ahead_m**2 * turn_var / 2, turn_var])
-    noise[1, 2] = noise[2, 1] = ahead_m * turn_var / 2
-    if increment.cov.any():
-        noise = np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
-        return ahead_m, from_robot, noise, np.zeros((len(CONSTANT_ERRORS), 3))
-    effects = [
-        (ahead_m, 0.0, 0.0),  # of the scale of distances
-        (0.0, ahead_m * turn / 2, turn),  # of turns
-        (0.0, ahead_m * ahead_m / 2, ahead_m),  # of the veer
-        from_robot @ increment.by_delay,
-        (0.0, -ahead_m, 0.0),  # of the camera's yaw
-    ]
-    return ahead_m, from_robot, noise, np.array(effects)
-
-
-def linearised(pose: Array, increment: Increment, parameters: MotionParameters) -> tuple[Array, Array]:
-    """Return F = ∂(next pose)/∂(pose) and Q, the covariance of the noise, both (3, 3) in the map, at `pose` (3,).
-
-    The first-order form of `predict` where no constant error is in doubt, for the posterior Cramér-Rao bound.
-    """
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    right, backward = increment.mean[:2]
-    jac_pose = np.eye(3)
-    jac_pose[:2, 2] = [-sin * right + cos * backward, -cos * right - sin * backward]
-    to_map = _map_from_step(float(pose[2]), increment)
-    return jac_pose, np.asarray(to_map @ _step_of(increment, parameters)[2] @ to_map.T)
+def _from_step(way: float) -> Array:
+    """Return the rotation (3, 3) from (along, left, turn) to (x, z, heading), the way being in this direction."""
+    cos, sin = np.cos(way), np.sin(way)
+    return np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
@@ -206,18 +269,52 @@ def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
     return moved
 
 
-def _map_from_step(heading: float, increment: Increment) -> Array:
-    """Return the rotation (3, 3) from (along, left, turn) to (x, z, heading) of the map; of the robot for 0."""
-    way = heading + direction_of_travel(increment)
-    cos, sin = np.cos(way), np.sin(way)
-    return np.array([[-sin, -cos, 0.0], [-cos, sin, 0.0], [0.0, 0.0, 1.0]])
+def projected(particles: Particles) -> Particles:
+    """Return the particles with constant errors whose means are linear in the camera's pose.
+
+    What is lost widens their covariance. Mean and covariance of poses and constant errors together stay as they are, so
+    nothing is lost where they are normal. It keeps what is known of constants from depending on which of many past
+    paths happened to survive resampling.
+    """
+    _, residual, weight = centred(particles)
+    pose, bias = residual[:3].copy(), residual[3:]
+    if CAMERA_YAW in particles.names:
+        pose[2] += residual[particles.names.index(CAMERA_YAW)]
+    pose_cov = (pose * weight) @ pose.T
+    # In units of their spread, so that metres and radians are cut off alike.
+    unit = np.sqrt(np.maximum(np.diag(pose_cov), 1e-300))
+    variance, axes = np.linalg.eigh(pose_cov / np.outer(unit, unit))
+    axes /= np.sqrt(np.where(variance > 1e-9 * variance[-1], variance, np.inf)) * unit[:, None]
+    inverse = axes @ axes.T
+    rest = (bias * weight) @ pose.T @ inverse @ pose
+    rest -= bias
+    lost = (rest * weight) @ rest.T
+    return _with_changed(particles, rest, particles.constant_error_cov + lost)
+
+
+def forgotten(particles: Particles, path_m: float, parameters: ConstantErrorParameters) -> Particles:
+    """Return the particles after a way, with constant errors that drifted: an Ornstein-Uhlenbeck process."""
+    if particles.names[3:] != CONSTANT_ERRORS or path_m == 0:
+        return particles
+    kept = np.exp(-path_m / parameters.memory_m)
+    cov = kept**2 * particles.constant_error_cov + (1 - kept**2) * parameters.cov
+    return _with_changed(particles, (kept - 1) * particles.columns[3:], cov)
+
+
+def _with_changed(particles: Particles, change: Array, cov: Array) -> Particles:
+    """Return the particles with other constant errors (B, N) and their cov, the camera's heading being as it was."""
+    columns = particles.columns.copy()
+    columns[3:] += change
+    if CAMERA_YAW in particles.names:
+        columns[2] = wrap_angle(columns[2] - change[particles.names.index(CAMERA_YAW) - 3])
+    return replace(particles, columns=columns, constant_error_cov=cov)
 
 
 def step_loop(start: Array, cos: Array, sin: Array, expected: Array, root: Array, normal: Array, end: Array) -> None:
     """Write the poses of N particles after a step into the first three rows of `end` (D, N).
 
-    start: (3, N) poses. cos, sin: (N,) of the directions of travel. expected: (3, N) steps (along, left, turn). root:
-    (3, 3), by which standard normal draws (3, N) become what a step differs from that.
+    normal: (3, N) standard normal draws, which times `root` (3, 3) are what a step differs from the `expected` one.
+    The rest is as in `Step`.
     """
     for n in range(len(cos)):
         along, left, turn = expected[0, n], expected[1, n], expected[2, n]
@@ -229,54 +326,3 @@ def step_loop(start: Array, cos: Array, sin: Array, expected: Array, root: Array
         end[0, n] = start[0, n] + (-sin[n] * along - cos[n] * left) + x
         end[1, n] = start[1, n] + (sin[n] * left - cos[n] * along) + z
         end[2, n] = start[2, n] + turn + turned
-
-
-# -- what the filter asks of a motion model ---------------------------------------------------------------------------
-
-
-@runtime_checkable
-class MotionModel(Protocol):
-    """Anything that moves particles by an increment."""
-
-    def predict(self, particles: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
-        """Return the particles moved by `increment`, each with its own draw of the noise."""
-        ...
-
-
-@runtime_checkable
-class LinearisedMotion(MotionModel, Protocol):
-    """A model whose noise is normal, and whose particles carry constant errors of wheels and mount in own columns.
-
-    So the optimal proposal can draw steps from odometry and edges together, and vision knows how certain wheels are.
-    """
-
-    @property
-    def delay_sigma_s(self) -> float:
-        """By how much the robot may be later than its odometry, one sigma."""
-        ...
-
-    def expected_step(self, particles: Particles, increment: Increment) -> Step:
-        """Return where particles are expected, and the derivatives of that by the standardised step."""
-        ...
-
-    def stepped(self, particles: Particles, step: Step, normal: Array, increment: Increment) -> Particles:
-        """Return the particles after standardised steps (3, N)."""
-        ...
-
-    def covariance(self, increment: Increment) -> Array:
-        """Return the covariance (3, 3) of a motion in the robot frame, constant errors included."""
-        ...
-
-    def at_start(self, particles: Particles, rng: np.random.Generator) -> Particles:
-        """Return particles of stated robot poses with the columns of the constant errors."""
-        ...
-
-    def with_constant_errors(self, particles: Particles) -> Particles:
-        """Return particles of poses that a camera was found at with the columns of the constant errors."""
-        ...
-
-
-def covariance_of(model: MotionModel, increment: Increment) -> Array:
-    """Return the covariance (3, 3) of a motion as the model has it, else as the increment states it."""
-    covariance = getattr(model, "covariance", None)  # faster than to ask for the whole protocol
-    return increment.cov if covariance is None else np.asarray(covariance(increment))

@@ -18,8 +18,8 @@ from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry,
 from localiser.filter.events import moves_between
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap, sight
-from localiser.motion import MotionParameters
-from localiser.motion.constant_errors import CONSTANT_ERRORS, EXACT, ConstantErrorParameters, at_start, forgotten
+from localiser.motion import EXACT, MotionParameters
+from localiser.motion.odometry_model import CONSTANT_ERRORS, ConstantErrorParameters, forgotten
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles
 from localiser.replay.run import start_of
@@ -36,7 +36,7 @@ STEP_S = 0.5
 
 def start(count: int, seed: int = 0, cov: Array = CERTAIN, mean: tuple[float, ...] = (0, 0, 0.3)) -> Particles:
     rng = np.random.default_rng(seed)
-    return at_start(particles.from_gaussian(np.array(mean), cov, count, rng), WIDE, rng)
+    return NOISE.at_start(particles.from_gaussian(np.array(mean), cov, count, rng), rng)
 
 
 def drive(count: int) -> list[Increment]:
@@ -183,9 +183,10 @@ def test_the_covariance_of_wheels_alone_holds_what_their_biases_may_do() -> None
 def test_biases_that_cannot_be_wrong_stay_nought() -> None:
     sure = ConstantErrorParameters(0.0, 0.0, 0.0, 0.0, 0.0)
     rng = np.random.default_rng(3)
-    cloud = at_start(particles.from_gaussian(np.zeros(3), CERTAIN, 20, rng), sure, rng)
+    motion = replace(NOISE, bias=sure)
+    cloud = motion.at_start(particles.from_gaussian(np.zeros(3), CERTAIN, 20, rng), rng)
     for increment in drive(5):
-        cloud = replace(NOISE, bias=sure).predict(cloud, increment, rng)
+        cloud = motion.predict(cloud, increment, rng)
     np.testing.assert_allclose(cloud.columns[3:], 0, atol=1e-15)
     np.testing.assert_allclose(cloud.constant_error_cov, 0, atol=1e-18)
 

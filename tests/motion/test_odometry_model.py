@@ -8,15 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localiser.geometry import Array, Increment, arc_motion, compose, wrap_angle
-from localiser.motion import (
-    GRAVITY_M_S2,
-    SLIP,
-    MotionParameters,
-    direction_of_travel,
-    linearised,
-    noise_variances,
-    up_of,
-)
+from localiser.motion import MotionParameters, linearised, noise_variances, up_of
+from localiser.motion.inertial import GRAVITY_M_S2
+from localiser.motion.odometry_model import SLIP, direction_of_travel
 from localiser.particles import POSE, Particles
 
 PARAMETERS = MotionParameters(alpha1=1.2e-3, alpha2=7e-4, alpha3=9e-4, alpha4=1e-4)
