@@ -149,8 +149,6 @@ class Localiser:
         if isinstance(self.observation, EdgeObservation):
             self.observation.warm_up()
         warm_up_filter()
-        if self._mcl.search is not None:
-            self._mcl.search.warm_up()
         if self._mcl.odometer is not None:
             self._mcl.odometer.warm_up()
         if images and self._camera is not None:

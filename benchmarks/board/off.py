@@ -74,7 +74,6 @@ MECHANISMS: dict[str, Patch] = {
     "fourth-root": _set("relocalisation.candidates:EVENNESS", 1.0),
     "limits": _set("filter.belief:SUPPORTED", np.inf),
     "omega": _set("relocalisation.global_localisation:POWER", 1.0),
-    "as-tracked": _set("relocalisation.global_localisation:Clues.as_tracked", lambda self, particles: None),
     "attitude": _set("filter.attitude:Level.levelled", lambda self, attitude, edges, *_: (edges, attitude)),
     "optimal-proposal": _set(
         "filter.optimal_proposal:OptimalProposal.moved",

@@ -34,7 +34,7 @@ from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
 from localiser.observation import DetectionRate, Matches, NearLandmarks, Sighting, Visibility
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
-from localiser.relocalisation import POWER, Candidates, Clues, GlobalLocalisation, History, Limits, beyond
+from localiser.relocalisation import FEWEST, POWER, Candidates, GlobalLocalisation, History, beyond
 
 LEFT, RETURNED = 1e-3, 1e-2  # between scenes: from mapped to unmapped surroundings, and back
 ENTERED = 1e-3  # from off the map onto it
@@ -142,54 +142,59 @@ class Belief:
         found: what it says of the tracked place, None where none is tracked. like: particles whose constant errors hold
         elsewhere too, those tracked if any are. jump: how new the image is. move: since the last image.
         """
-        clues, is_tracked, carried = search.clues(sighting), found is not None, jump.carried(search.parameters.carried)
+        is_tracked, carried = found is not None, jump.carried(search.parameters.carried)
+        edges = search.known_edges(sighting)
         novelty = max(jump.novelty, carried)
         near = self.near if self.is_known else replace(self.near, maps=len(search.landmark_map.maps))
         begun = replace(self, history=self.history.moved(move.increment, novelty), near=near)
-        belief = begun._judged(clues, found, replace(jump, novelty=novelty), carried, move)
+        belief = begun._judged(search, found, sighting, edges >= FEWEST, jump, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
-        told = 0.0 if clues.is_blind else novelty / scenes  # a few edges may be anything, whatever the map
+        told = novelty / scenes if edges >= FEWEST else 0.0  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
         may_be_lost = 1.0 - belief.here >= search.parameters.doubt or not belief.is_known
-        if new < LEAST_NOVELTY or (may_be_lost and not len(clues.feet)):
+        if new < LEAST_NOVELTY or (may_be_lost and not edges):
             return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
             tracked = like if is_tracked else None
-            belief = belief._explored(search, like, tracked, clues, new, most_effort, move.model, rng)
+            belief = belief._explored(search, like, tracked, sighting, new, most_effort, move.model, rng)
         if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.parameters.particles_most) if is_tracked else search.parameters.particles_most
         return replace(belief, unproposed=0.0, history=belief.history.with_image(sighting))._resampled(most, rng)
 
-    def _judged(self, clues: Clues, found: Weighed | None, jump: Jump, carried: float, move: Move) -> Belief:
-        """Return the belief after transitions and Bayes' rule."""
-        novelty = jump.novelty
+    def _judged(
+        self, search: GlobalLocalisation, found: Weighed | None, sighting: Sighting, sees: bool, jump: Jump, move: Move
+    ) -> Belief:
+        """Return the belief after transitions and Bayes' rule. sees: whether the image has more than a few edges."""
+        carried = jump.carried(search.parameters.carried)
+        novelty = max(jump.novelty, carried)
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
         log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
         if found is not None and found.by_rate is not None and found.shown_by_rate is not None:
             detections, log_tracked = _rated(found.before, POWER * found.by_rate, detections, novelty)
             shown, log_shown = _rated(found.before, POWER * found.shown_by_rate, shown, novelty)
-            blind = clues.blind_weight(found.before, found.by_rate)
+            blind = sees * float(found.before.weight[(found.by_rate == 0.0).all(axis=0)].sum())
             support = self.support * float(np.exp(-jump.path_m / SUPPORT_M)) if carried < SUSPECTED else 0.0
         explained = support + log_shown
         is_explained = carried < SUSPECTED and explained > SUPPORTED
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
             moved = replace(candidates, particles=move.of(candidates.particles))
-            by_rate, needs_landmarks = clues.by_rate(moved.particles), not clues.is_blind
-            within = None if is_explained else clues.as_tracked(moved.particles)
-            candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=needs_landmarks, within=within)
-        limits = Limits()
+            by_rate, within = search.by_rate(moved.particles, sighting), None
+            if not is_explained:
+                within = search.observation.log_likelihood(moved.particles, sighting, search.landmark_map)
+            candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=sees, within=within)
+        limits = np.array([0.0, np.inf])
         if is_explained:
             gain = max(log_tracked, 0.0)
-            limits = Limits(max(log_shown - gain, 0.0), gain + PATIENCE * jump.path_m)
-            log_elsewhere = float(limits.of(np.array(log_elsewhere)))
-        log_bare = 0.0 if clues.is_blind else -BARE * novelty
+            limits = np.array([max(log_shown - gain, 0.0), gain + PATIENCE * jump.path_m])
+            log_elsewhere = float(min(log_elsewhere - limits[0], limits[1]))
+        log_bare = -BARE * novelty if sees else 0.0
         support = min(explained, MOST_SUPPORT)
         belief = replace(belief, candidates=candidates, detections=detections, shown=shown, support=support)
-        belief = replace(belief, history=belief.history.limited(limits))
+        belief = replace(belief, history=replace(belief.history, limits=belief.history.limits + limits))
         return belief._weighed(log_tracked + blind * log_bare, log_elsewhere, log_bare)
 
     def _moved_on(self, novelty: float, carried: float) -> Belief:
@@ -225,7 +230,7 @@ class Belief:
             elsewhere=self.elsewhere * float(np.exp(log_elsewhere - top)),
             unexplored=self.unexplored * float(np.exp(-top)),
             off_map=self.off_map * float(np.exp(-top)),
-            history=self.history.scaled(float(np.exp(-top))),
+            history=replace(self.history, entered=float(np.exp(-top)) * self.history.entered),
         )._normalised()
 
     def _explored(
@@ -233,7 +238,7 @@ class Belief:
         search: GlobalLocalisation,
         like: Particles,
         tracked: Particles | None,
-        clues: Clues,
+        sighting: Sighting,
         new: float,
         most_effort: float,
         motion: MotionModel,
@@ -245,21 +250,21 @@ class Belief:
         scene in proportion to it, at most `most_effort` each. On a large map they do so when the place is known.
         """
         is_first = tracked is None and self.elsewhere == 0.0 and self.overlooked == 1.0
-        shares = tracked is not None and (self.is_known or not search.places.are_many)
+        shares = tracked is not None and (self.is_known or not search.pairs.are_many)
         effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
-        proposed, hits = search.proposed(like, clues, effort, rng)
+        proposed, hits = search.proposed(like, sighting, effort, rng)
         overlooked = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
         belief = replace(
             self,
             unexplored=overlooked * self.unexplored,
             overlooked=overlooked * self.overlooked,
-            history=self.history.looked(overlooked),
+            history=replace(self.history, overlooked=self.history.overlooked * overlooked),
         )
         if proposed is not None and tracked is not None:  # poses at the tracked place are no other place
             proposed = proposed.only(~is_near(proposed.particles.poses, particles.estimate(tracked).pose))
         if proposed is not None and len(proposed):
-            known = [] if self.candidates is None else [(self.candidates.particles, self.elsewhere)]
-            more, probability = beyond(self.history.weighed(proposed, clues.sighting, search.clues, motion, rng), known)
+            late = self.history.weighed(proposed, sighting, search, motion, rng)
+            more, probability = beyond(late, self.candidates, self.elsewhere)
             belief = belief if more is None else belief._with(more, probability)
         return belief._normalised()
 
@@ -299,7 +304,7 @@ class Belief:
             elsewhere=self.elsewhere / total,
             unexplored=self.unexplored / total,
             off_map=self.off_map / total,
-            history=self.history.scaled(1.0 / total),
+            history=replace(self.history, entered=1.0 / total * self.history.entered),
         )
 
     # -- what follows from it -----------------------------------------------------------------------------------------
@@ -409,4 +414,4 @@ def _rated(cloud: Particles, by_rate: Array, rate: DetectionRate, novelty: float
     by_rate: (K, N) log p(edges | particle, p_k). rate: before the image.
     """
     weighed, log_mean = Candidates.of(cloud, rate).weighed(by_rate, novelty, needs_landmarks=False)
-    return weighed.mean_rate, log_mean
+    return DetectionRate(weighed.rates @ weighed.particles.weight), log_mean

@@ -371,7 +371,7 @@ def _compared(
     if weighed is not None:
         belief = belief.beside(particles.estimate(weighed).pose)
     elif belief.candidates is None:
-        belief = replace(belief, candidates=mcl.search.anywhere(like, mcl.search.parameters.particles_most, rng))
+        belief = replace(belief, candidates=mcl.search.even(like, mcl.search.parameters.particles_most, rng))
     maps = len(mcl.landmark_map.maps)
     other = belief.found(maps, is_tracked=weighed is not None)
     if other is not None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array, wrap_angle
 from localiser.observation import DetectionRate, log_sum_of_rates
-from localiser.particles import CELL_M, CELL_RAD, Particles, cells_of, log_sum, only, systematic_resample
+from localiser.particles import Particles, cells_of, log_sum, only, systematic_resample
 
 PER_CELL = 60  # particles in each cell of floor and heading, on average
 LEAST_WEIGHT = 1e-9  # of a cell, below which it is given up
@@ -40,19 +40,10 @@ class Candidates:
         return len(self.particles)
 
     @classmethod
-    def unknown(cls, particles: Particles) -> Candidates:
-        """Return candidates that no image has been compared with."""
-        return cls.of(particles, DetectionRate.unknown())
-
-    @classmethod
-    def of(cls, particles: Particles, rate: DetectionRate) -> Candidates:
-        """Return candidates that all have the same distribution of the detection rate."""
-        return cls(particles, np.tile(rate.probability[:, None], (1, len(particles))))
-
-    @property
-    def mean_rate(self) -> DetectionRate:
-        """The distribution of the detection rate over all of them."""
-        return DetectionRate(self.rates @ self.particles.weight)
+    def of(cls, particles: Particles, rate: DetectionRate | None = None) -> Candidates:
+        """Return candidates with the same distribution of the detection rate; None: no image was compared with them."""
+        probability = (rate or DetectionRate.unknown()).probability
+        return cls(particles, np.tile(probability[:, None], (1, len(particles))))
 
     def weighed(
         self, by_rate: Array, novelty: float, *, needs_landmarks: bool, within: Array | None = None
@@ -73,7 +64,7 @@ class Candidates:
         after = before + log_fit + log_kept
         log_mean = log_sum(after) - log_sum(before)
         if within is not None:
-            cell = cells_of(self.particles.poses, CELL_M, CELL_RAD)
+            cell = cells_of(self.particles.poses)
             shared = before + novelty * within + log_kept
             after = shared + (_log_mass(after, cell) - _log_mass(shared, cell))[cell]
         return Candidates(replace(self.particles, log_weight=after), np.exp(joint - log_fit)), log_mean
@@ -98,15 +89,19 @@ class Candidates:
         and a place that fits a little worse than others is not lost by chance.
         """
         weight, poses = self.particles.weight, self.particles.poses
-        cell = cells_of(poses, CELL_M, CELL_RAD)
+        cell = cells_of(poses)
         mass = np.bincount(cell, weight)
         followed = mass > LEAST_WEIGHT
         share = np.where(followed, mass, 0.0) ** EVENNESS
-        chance = weight * (share / share.sum() / np.maximum(mass, 1e-300))[cell]
+        each = np.maximum(mass, 1e-300)
+        chance = weight * (share / share.sum() / each)[cell]
         index = systematic_resample(chance, min(PER_CELL * int(followed.sum()), most), rng)
         drawn = np.bincount(cell[index], minlength=len(mass))
         columns = self.particles.columns[:, index]
-        columns[:3] += SPREAD * _spread(poses, weight, cell)[:, cell[index]] * rng.standard_normal((3, len(index)))
+        for row, column in enumerate(poses.T):
+            off = column - (np.bincount(cell, weight * column) / each)[cell]
+            sigma = np.sqrt(np.bincount(cell, weight * off**2) / each)
+            columns[row] += SPREAD * sigma[cell[index]] * rng.standard_normal(len(index))
         columns[2] = wrap_angle(columns[2])
         log_weight = np.log(mass[cell[index]] / drawn[cell[index]]) + log_sum(self.particles.log_weight)
         return Candidates(replace(self.particles, columns=columns, log_weight=log_weight), self.rates[:, index])
@@ -117,14 +112,3 @@ def _log_mass(log_weight: Array, cell: NDArray[np.int64]) -> Array:
     top = np.full(int(cell.max(initial=-1)) + 1, -np.inf)
     np.maximum.at(top, cell, log_weight)
     return np.asarray(top + np.log(np.bincount(cell, np.exp(log_weight - top[cell]))))
-
-
-def _spread(poses: Array, weight: Array, cell: NDArray[np.int64]) -> Array:
-    """Return the standard deviation (3, C) of the weighted poses (N, 3) in each cell."""
-    mass = np.maximum(np.bincount(cell, weight), 1e-300)
-    means = [np.bincount(cell, weight * column) / mass for column in poses.T]
-    variances = [
-        np.bincount(cell, weight * (column - mean[cell]) ** 2) / mass
-        for column, mean in zip(poses.T, means, strict=True)
-    ]
-    return np.sqrt(np.stack(variances))

@@ -12,29 +12,19 @@ and those before.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser.camera import Camera
-from localiser.edges import Edges
-from localiser.geometry import Array, wrap_angle
+from localiser.geometry import Array, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import DetectionRate, EdgeObservation, InlierRate, Sighting
-from localiser.particles import (
-    CAMERA_YAW,
-    CELL_M,
-    CELL_RAD,
-    POSE,
-    Particles,
-    cells_of,
-    multinomial_resample,
-)
+from localiser.observation import DetectionRate, EdgeObservation, Sighting
+from localiser.particles import CAMERA_YAW, CELL_M, CELL_RAD, POSE, Particles, cells_of, multinomial_resample
 from localiser.relocalisation.candidates import Candidates
-from localiser.relocalisation.hypotheses import Feet, feet_of, from_markers, poses_of
-from localiser.relocalisation.places import Places, Region
+from localiser.relocalisation.hypotheses import Feet, LandmarkPairs, from_bearings, from_feet, from_markers
 
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
 FEWEST = 5  # edges; fewer may all be clutter almost anywhere
@@ -67,48 +57,31 @@ class SearchParameters:
     ] = 8000
 
 
-@dataclass(frozen=True, eq=False)
-class Clues:
-    """What one image says of places: its edges for a likelihood, and the view of it for proposals.
+@dataclass(frozen=True, slots=True, eq=False)
+class Region:
+    """Where the robot may be before anything is seen: every pose from `low` to `high` (3,), all alike."""
 
-    sighting: as the filter weighs tracked particles by it.
-    """
+    low: Array
+    high: Array
 
-    sighting: Sighting
-    observation: EdgeObservation
-    landmark_map: LandmarkMap
+    @classmethod
+    def around(cls, points: Array) -> Region:
+        """Return every heading in the rectangle around points (L, 2), wider by `BESIDE_MAP_M` on every side."""
+        low, high = points.min(axis=0) - BESIDE_MAP_M, points.max(axis=0) + BESIDE_MAP_M
+        return cls(np.append(low, -np.pi), np.append(high, np.pi))
 
-    @cached_property
-    def feet(self) -> Feet:
-        """The longest edges, which poses are proposed from. Few images of a robot that is not lost need it."""
-        return feet_of(self.observation.frame(self.sighting.edges.longest(MOST_EDGES)))
+    @property
+    def log_density(self) -> float:
+        """Logarithm of the prior density inside, per m² rad."""
+        return float(-np.log(np.prod(self.high - self.low)))
 
-    @cached_property
-    def is_blind(self) -> bool:
-        """Whether the image shows too little to tell that what it shows is not on the map."""
-        return int(self.observation.frame(self.sighting.edges).is_known.sum()) < FEWEST
+    def contains(self, poses: Array) -> NDArray[np.bool_]:
+        """Return which of the poses (N, 3) lie inside, whatever their heading."""
+        return np.asarray(((poses >= self.low) & (poses <= self.high))[:, :2].all(axis=1))
 
-    def by_rate(self, particles: Particles, blur_rad: float = BLUR_RAD) -> Array:
-        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
-        return POWER * self.observation.by_detection_rate(particles, self.sighting, self.landmark_map, blur_rad)
-
-    def as_tracked(self, particles: Particles) -> Array:
-        """Return log p(edges | particle) (N,) as the filter weighs tracked particles.
-
-        The inlier rate is that of an unknown place, as each place has another one.
-        """
-        return InlierRate.unknown().log_mean(self.observation.by_rate(particles, self.sighting, self.landmark_map))
-
-    def blind_weight(self, particles: Particles, by_rate: Array) -> float:
-        """Return the weight, 0 … 1, of the particles from which the map has nothing in view though many edges are seen.
-
-        by_rate: (K, N) what `by_rate` returns of them.
-        """
-        return 0.0 if self.is_blind else float(particles.weight[(by_rate == 0.0).all(axis=0)].sum())
-
-    def anywhere(self, particles: Particles, blur_rad: float = BLUR_RAD) -> Array:
-        """Return log p(edges | particle) (N,) where nothing is known of the detection rate."""
-        return DetectionRate.unknown().log_mean(self.by_rate(particles, blur_rad))
+    def drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """Return poses (count, 3) drawn evenly."""
+        return rng.uniform(self.low, self.high, (count, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,31 +90,36 @@ class GlobalLocalisation:
 
     observation: EdgeObservation
     landmark_map: LandmarkMap
-    places: Places
     parameters: SearchParameters
+    pairs: LandmarkPairs
+    region: Region
 
     @classmethod
     def of(
         cls, observation: EdgeObservation, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
     ) -> GlobalLocalisation:
         """Return the global localisation on this map; its tables take a second on a large one."""
-        region = Region.around(landmark_map.points, BESIDE_MAP_M)
-        of = observation.parameters
-        places = Places.of(landmark_map, of.sight, region, of.landmark_sigma_m)
-        return cls(observation, landmark_map, places, parameters or SearchParameters())
+        pairs, region = LandmarkPairs.of(landmark_map, observation.parameters), Region.around(landmark_map.points)
+        return cls(observation, landmark_map, parameters or SearchParameters(), pairs, region)
 
-    def warm_up(self) -> None:
-        """Compile what scores poses, or load it from the disk, so that no frame has to wait for it."""
-        angle = np.zeros(1)
-        edges = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
-        self.clues(Sighting(0, edges)).anywhere(Particles(POSE, np.zeros((3, 1)), np.zeros(1)))
+    # -- what an image says of poses ----------------------------------------------------------------------------------
 
-    def clues(self, sighting: Sighting) -> Clues:
-        """Return what an image says of places."""
-        return Clues(sighting, self.observation, self.landmark_map)
+    def known_edges(self, sighting: Sighting) -> int:
+        """Return of how many edges of an image the angle is known."""
+        return int(self.observation.frame(sighting.edges).is_known.sum())
+
+    def by_rate(self, particles: Particles, sighting: Sighting, blur_rad: float = BLUR_RAD) -> Array:
+        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
+        return POWER * self.observation.by_detection_rate(particles, sighting, self.landmark_map, blur_rad)
+
+    def log_fit(self, poses: Array, sighting: Sighting, blur_rad: float = BLUR_RAD) -> Array:
+        """Return log p(edges | pose) (N,) of poses (N, 3), whatever the detection rate; the camera looks as stated."""
+        return DetectionRate.unknown().log_mean(self.by_rate(_at(poses), sighting, blur_rad))
+
+    # -- where a robot may be that is lost ----------------------------------------------------------------------------
 
     def proposed(
-        self, like: Particles, clues: Clues, effort: float, rng: np.random.Generator
+        self, like: Particles, sighting: Sighting, effort: float, rng: np.random.Generator
     ) -> tuple[Candidates | None, float]:
         """Return candidates drawn where the edges of an image fit the map, and the expected hits.
 
@@ -151,58 +129,71 @@ class GlobalLocalisation:
         how much is tried, 1 for an image that stands for itself. Expected hits: how many of the hypotheses are the true
         pose, if it is in the region.
         """
-        tried, hits = poses_of(clues.feet, self.places, round(effort * HYPOTHESES), rng)
-        by_marker = clues.feet.robot_poses(from_markers(clues.feet.camera, clues.sighting.edges, self.landmark_map))
-        by_marker = by_marker[self.places.region.contains(by_marker)]
-        if len(by_marker):
-            tried, hits = np.concatenate([by_marker, tried]), hits + MARKER_HITS
+        camera, region = self.observation.camera.at(sighting.edges.mount), self.region
+        tried, hits = self._hypotheses(camera, sighting, round(effort * HYPOTHESES), rng)
         if len(tried) == 0:
             return None, hits
         count = max(round(effort * self.parameters.fresh), 1)
-        likeliest = np.argsort(-clues.anywhere(_at(tried), SEARCH_BLUR_RAD), kind="stable")
+        likeliest = np.argsort(-self.log_fit(tried, sighting, SEARCH_BLUR_RAD), kind="stable")
         _, first = np.unique(cells_of(tried[likeliest]), return_index=True)
         best = tried[likeliest[np.sort(first)[: -(-count // PER_BOX)]]]
-        even = evenly_around(best, self.places.region, rng)
+        even = evenly_around(best, region, rng)
         if len(even) == 0:
             return None, hits
         cloud = Particles((*POSE, "log_fit"), np.vstack([even.columns, np.zeros(len(even))]), even.log_weight)
         for blur_rad in WIDER_RAD:
-            log_fit = clues.anywhere(cloud, blur_rad)
+            log_fit = self.log_fit(cloud.poses, sighting, blur_rad)
             cloud = replace(cloud, log_weight=cloud.log_weight + log_fit - cloud["log_fit"])
             cloud.columns[3] = log_fit  # the copies keep that of where they come from
-            cloud = Candidates.unknown(cloud).resampled(count, rng).particles
+            cloud = Candidates.of(cloud).resampled(count, rng).particles
             cloud.columns[:3] += (blur_rad * MOVED)[:, None] * rng.standard_normal((3, len(cloud)))
         # What no box covers has a small likelihood at very many poses: without it, off the map becomes too likely.
-        beside = self.places.region.drawn(round(EVEN * count), rng)
+        beside = region.drawn(round(EVEN * count), rng)
         poses = np.concatenate([cloud.poses, beside[_boxes_at(beside, best) == 0]])
         poses[:, 2] = wrap_angle(poses[:, 2])
         log_weight = np.full(len(poses), -np.log(max(len(beside), 1)))
         log_weight[: len(cloud)] = cloud.log_weight - cloud["log_fit"]
-        fits = clues.anywhere(_at(poses)) > 0.0
+        fits = self.log_fit(poses, sighting) > 0.0
         if not fits.any():
             return None, hits
-        return Candidates.unknown(self._robots(like, poses[fits], log_weight[fits], clues.feet.camera, rng)), hits
+        return _seeing(camera, poses[fits], log_weight[fits], like, rng), hits
 
-    def anywhere(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:
+    def even(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:
         """Return `count` candidates drawn evenly over the region; like: as for `proposed`."""
-        poses = self.places.region.drawn(count, rng)
-        return Candidates.unknown(self._robots(like, poses, np.zeros(count), self.observation.camera, rng))
+        return _seeing(self.observation.camera, self.region.drawn(count, rng), np.zeros(count), like, rng)
 
-    def _robots(
-        self, like: Particles, poses: Array, log_weight: Array, camera: Camera, rng: np.random.Generator
-    ) -> Particles:
-        """Return particles at which a camera that sits as stated sees what is seen from `poses` (N, 3).
+    def _hypotheses(
+        self, camera: Camera, sighting: Sighting, count: int, rng: np.random.Generator
+    ) -> tuple[Array, float]:
+        """Return robot poses (K, 3) in the region, and how many of those tried are expected to be the true one.
 
-        Their other columns are drawn from `like`. One of them may be the camera's yaw, for which the robot is turned.
+        Three bearings are tried where feet give less than half of the poses.
         """
-        columns = like.columns[:, multinomial_resample(like.weight, len(poses), rng)]
-        columns[:3] = poses.T
-        if CAMERA_YAW in like.names:
-            turned = poses.copy()
-            turned[:, 2] = wrap_angle(poses[:, 2] - columns[like.names.index(CAMERA_YAW)])
-            turned[:, :2] += (camera.pose_in_map(poses) - camera.pose_in_map(turned))[:, :2]
-            columns[:3] = turned.T
-        return replace(like, columns=columns, log_weight=log_weight)
+        feet = Feet.of(self.observation.frame(sighting.edges.longest(MOST_EDGES)))
+        by_marker = from_markers(camera, sighting.edges, self.landmark_map)
+        by_feet, hits = from_feet(feet, self.pairs, count, rng)
+        cameras = [by_marker, by_feet]
+        if len(by_feet) < count // 2:
+            by_bearings, more = from_bearings(feet, self.pairs, count - len(by_feet), rng)
+            cameras, hits = [*cameras, by_bearings], hits + more
+        poses = compose(np.concatenate(cameras), between(camera.robot_from_level, np.zeros(3)))
+        inside = self.region.contains(poses)
+        return poses[inside], hits + MARKER_HITS * inside[: len(by_marker)].any()
+
+
+def _seeing(camera: Camera, poses: Array, log_weight: Array, like: Particles, rng: np.random.Generator) -> Candidates:
+    """Return candidates at which a camera that sits as stated sees what is seen from `poses` (N, 3).
+
+    Their other columns are drawn from `like`. One of them may be the camera's yaw, for which the robot is turned.
+    """
+    columns = like.columns[:, multinomial_resample(like.weight, len(poses), rng)]
+    columns[:3] = poses.T
+    if CAMERA_YAW in like.names:
+        turned = poses.copy()
+        turned[:, 2] = wrap_angle(poses[:, 2] - columns[like.names.index(CAMERA_YAW)])
+        turned[:, :2] += (camera.pose_in_map(poses) - camera.pose_in_map(turned))[:, :2]
+        columns[:3] = turned.T
+    return Candidates.of(replace(like, columns=columns, log_weight=log_weight))
 
 
 def evenly_around(centres: Array, region: Region, rng: np.random.Generator) -> Particles:

@@ -8,7 +8,6 @@ and the images since count for it as they do for a candidate that was followed a
 entered_k is the probability that came with image k to where nobody has looked: at first all of it, later that of a
 robot that was carried, or that comes onto the map. Odometry tells where the robot was at image j, if it is at a pose
 now. One image is kept for each scene. It counts for those since the one before, and the last image for those since it.
-
 What entered before the images that are kept counts as what is unexplored does: it falls by what images look at.
 
 Two things are not exact. A pose has one path, drawn from the noise of odometry, so a place that is as good as followed
@@ -18,7 +17,6 @@ errors of these draws add up on the side of other places.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,33 +24,12 @@ import numpy as np
 from localiser.geometry import Array, Increment, between, compose
 from localiser.motion import MotionModel, covariance_of
 from localiser.observation import Sighting
-from localiser.particles import Particles, cells_of, from_gaussian
+from localiser.particles import cells_of, from_gaussian
 from localiser.relocalisation.candidates import Candidates
-from localiser.relocalisation.global_localisation import Clues
+from localiser.relocalisation.global_localisation import FEWEST, GlobalLocalisation
 
 SCENES = 24  # that are kept
 MOST_LOG = 600.0  # of a probability that is still finite
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """How much another place may gain by images that the tracked place explains: log-likelihood - less, at most `most`.
-
-    For candidates their mean is limited, and for a place that is proposed late each pose, which is the safe side.
-    """
-
-    less: float = 0.0
-    most: float = np.inf
-
-    def of(self, log_likelihood: Array) -> Array:
-        """Return log-likelihoods (N,) within these limits."""
-        return np.minimum(log_likelihood - self.less, self.most)
-
-    def __add__(self, other: Limits) -> Limits:
-        return Limits(self.less + other.less, self.most + other.most)
-
-
-NO_IMAGE = Limits(0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +37,14 @@ class PastImage:
     """An image that is kept.
 
     novelty: of the images since the one before, which it counts for. step: motion from it to the next one that is kept,
-    or to the last image. limits: of what a place may gain by it.
+    or to the last image. limits: (2,) another place gains log-likelihood - limits[0] by it, at most limits[1]. For
+    candidates their mean is limited, and for a place that is proposed late each pose, which is the safe side.
     """
 
     sighting: Sighting
     novelty: float
     step: Increment
-    limits: Limits
+    limits: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +58,7 @@ class History:
 
     images: tuple[PastImage, ...] = ()
     entered: Array = field(default_factory=lambda: np.zeros(1))
-    limits: Limits = NO_IMAGE
+    limits: Array = field(default_factory=lambda: np.zeros(2))
     overlooked: float = 1.0
     new: float = 0.0
 
@@ -101,18 +79,6 @@ class History:
         entered[-1] += probability
         return replace(self, entered=entered)
 
-    def scaled(self, factor: float) -> History:
-        """Return the history with all probabilities times a factor."""
-        return replace(self, entered=factor * self.entered)
-
-    def limited(self, limits: Limits) -> History:
-        """Return the history in which a place may gain no more than this by one more image."""
-        return replace(self, limits=self.limits + limits)
-
-    def looked(self, overlooked: float) -> History:
-        """Return the history after an image has proposed poses, and has left this part of the unexplored."""
-        return replace(self, overlooked=self.overlooked * overlooked)
-
     def with_image(self, sighting: Sighting) -> History:
         """Return the history with an image, if it is of another scene than the last one that was kept."""
         if self.new < 1.0:
@@ -128,16 +94,20 @@ class History:
         self,
         proposed: Candidates,
         sighting: Sighting,
-        clues_of: Callable[[Sighting], Clues],
+        search: GlobalLocalisation,
         motion: MotionModel,
         rng: np.random.Generator,
     ) -> Candidates:
-        """Return proposed poses with the probabilities above.
+        """Return proposed poses with the probabilities above. sighting: the last image.
 
-        Their weights are the density of the region over that of the draws, divided by how many were drawn. sighting:
-        the last image. clues_of: returns what an image says of places.
+        Their weights are the density of the region over that of the draws, divided by how many were drawn.
         """
-        clouds = self.places_before(proposed.particles, motion, rng)
+        clouds = [proposed.particles]  # where they were, by odometry and its noise; now last
+        for image in reversed(self.images):
+            steps = from_gaussian(image.step.mean, covariance_of(motion, image.step), len(proposed), rng).poses
+            columns = clouds[0].columns.copy()
+            columns[:3] = compose(columns[:3].T, between(steps, np.zeros_like(steps))).T
+            clouds.insert(0, replace(proposed.particles, columns=columns))
         images = [(one.sighting, one.limits, one.novelty) for one in self.images]
         images.append((sighting, self.limits, self.new))
         log_path, followed = np.full(len(proposed), -np.inf), proposed
@@ -146,39 +116,30 @@ class History:
             log_path = np.logaddexp(log_path, log_entered)
             rates = followed.rates + np.exp(log_entered - log_path) * (proposed.rates - followed.rates)
             there = Candidates(replace(cloud, log_weight=np.zeros(len(cloud))), rates)
-            clues = clues_of(seen)
-            followed, _ = there.weighed(clues.by_rate(cloud), novelty, needs_landmarks=not clues.is_blind)
-            log_path += limits.of(followed.particles.log_weight)
+            needs_landmarks = search.known_edges(seen) >= FEWEST
+            followed, _ = there.weighed(search.by_rate(cloud, seen), novelty, needs_landmarks=needs_landmarks)
+            log_path += np.minimum(followed.particles.log_weight - limits[0], limits[1])
         log_weight = proposed.particles.log_weight + log_path
         return Candidates(replace(proposed.particles, log_weight=log_weight), followed.rates)
 
-    def places_before(self, cloud: Particles, motion: MotionModel, rng: np.random.Generator) -> list[Particles]:
-        """Return where particles were at each image that is kept, and where they are now, by odometry and its noise."""
-        clouds = [cloud]
-        for image in reversed(self.images):
-            steps = from_gaussian(image.step.mean, covariance_of(motion, image.step), len(cloud), rng).poses
-            columns = clouds[-1].columns.copy()
-            columns[:3] = compose(columns[:3].T, between(steps, np.zeros_like(steps))).T
-            clouds.append(replace(cloud, columns=columns))
-        return clouds[::-1]
 
-
-def beyond(proposed: Candidates, known: list[tuple[Particles, float]]) -> tuple[Candidates | None, float]:
+def beyond(proposed: Candidates, known: Candidates | None, probability: float) -> tuple[Candidates | None, float]:
     """Return proposed poses with the probability that they have beyond those known in their cells, and all of it.
 
-    proposed: log_weight is that of their probability. known: particles, and the probability of each cloud. Where a
-    place is followed already, what images say of it is counted once.
+    proposed: log_weight is that of their probability. known: candidates that are followed, and the probability of all
+    of them. What images say of a place that is followed already is counted once.
     """
     log_weight = proposed.particles.log_weight
     top = max(float(log_weight.max()) - MOST_LOG, 0.0)
     mass = np.exp(log_weight - top)
-    poses = np.concatenate([proposed.particles.poses, *(one.poses for one, _ in known)])
-    cell = cells_of(poses)
-    here, there, cells = cell[: len(mass)], cell[len(mass) :], int(cell.max()) + 1
+    old = proposed.particles.poses[:0] if known is None else known.particles.poses
+    cell = cells_of(np.concatenate([proposed.particles.poses, old]))
+    here, cells = cell[: len(mass)], int(cell.max()) + 1
     found = np.bincount(here, mass, minlength=cells)
-    weights = np.concatenate([np.zeros(0), *(np.exp(-top) * probability * one.weight for one, probability in known)])
-    before = np.bincount(there, weights, minlength=cells)
-    mass = mass * (np.maximum(found - before, 0.0) / np.maximum(found, 1e-300))[here]
+    if known is not None:
+        before = np.exp(-top) * probability * known.particles.weight
+        gained = np.maximum(found - np.bincount(cell[len(mass) :], before, minlength=cells), 0.0)
+        mass = mass * (gained / np.maximum(found, 1e-300))[here]
     more = mass > 0
     if not more.any():
         return None, 0.0

@@ -9,15 +9,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, between, compose, forward, wrap_angle
+from localiser.geometry import Array, forward, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import ENDPOINT_SIGMA_PX, Frame, end_per_height, ends_lower_first, marked_landmarks
-from localiser.relocalisation.places import BOTTOM_STEP_M, Indices, Places
-from localiser.relocalisation.resection import from_three_bearings, from_two_bearings
+from localiser.observation import (
+    ENDPOINT_SIGMA_PX,
+    Frame,
+    ObservationParameters,
+    end_per_height,
+    ends_lower_first,
+    marked_landmarks,
+)
 
+Indices = NDArray[np.int64]
+
+BOTTOM_STEP_M = 0.05  # landmarks whose lower ends differ by less are searched together
+MANY_PAIRS = 400_000  # beyond which an image can try but a small part of what it may be
+MOST_PAIRS = 5_000_000  # of landmarks in the table, 16 bytes each; about so many where there are more
 GATE_SIGMAS = 1.0  # narrow: more pairs of edges can be tried, which finds more than it loses
 MOST_TRIPLES = 10  # times as many of landmarks as are tried: beyond that a right one is hardly ever among them
 NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardly more than one does
@@ -26,6 +38,64 @@ FEWEST_TRIED = 4  # pairs of edges
 BOTH_RIGHT, ALL_RIGHT = 0.3, 0.16
 MOST_ASLANT_DEG, ASLANT_STEP_DEG = 75.0, 2.5  # directions from which a marker is read: 0.13 m apart at 3 m
 WORST_RANGE = 0.25  # relative error of a range that still tells something
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkPairs:
+    """Landmarks (L) of a map, and their ordered pairs (M) by distance.
+
+    points: (L, 2) m. sigma_max_m: the largest error of a position. range_m: between which landmarks are seen. class_m:
+    (B,) heights that lower ends are grouped to, ascending. pair: (M, 2) landmarks no farther apart than both can be in
+    sight, sorted by `key` (M,), their distance plus `step` for the group of the first times B plus that of the second.
+    """
+
+    points: Array
+    sigma_max_m: float
+    range_m: tuple[float, float]
+    class_m: Array
+    pair: NDArray[np.int32]
+    key: Array
+    step: float
+
+    @property
+    def are_many(self) -> bool:
+        """Whether there are so many that an image can try but a part of what it may be."""
+        return len(self.pair) > MANY_PAIRS
+
+    @classmethod
+    def of(cls, landmark_map: LandmarkMap, parameters: ObservationParameters) -> LandmarkPairs:
+        """Return the pairs of a map; where they would be more than `MOST_PAIRS`, about so many, the nearest."""
+        from scipy.spatial import cKDTree
+
+        points, sight = landmark_map.points, parameters.sight
+        farthest_m, tree, neighbours = 2 * sight.range_max_m, cKDTree(points), MOST_PAIRS // len(points)
+        if neighbours < len(points) - 1:
+            farthest_m = min(farthest_m, float(np.median(tree.query(points, [neighbours + 1])[0])))
+        one = tree.query_pairs(farthest_m, output_type="ndarray").astype(np.int32)
+        distance = np.hypot(*(points[one[:, 0]] - points[one[:, 1]]).T)
+        one, distance = one[distance > 1e-3], distance[distance > 1e-3]
+        pair, distance = np.concatenate([one, one[:, ::-1]]), np.concatenate([distance, distance])
+
+        bottom_m = np.nan_to_num(landmark_map.bottom_m, nan=0.0)  # the floor
+        height, group = np.unique(np.round(bottom_m / BOTTOM_STEP_M).astype(np.int64), return_inverse=True)
+        step = 2.0 * sight.range_max_m + 1.0  # no distance reaches it
+        key = (group[pair[:, 0]] * len(height) + group[pair[:, 1]]) * step + distance
+        order = np.argsort(key, kind="stable")
+        return cls(
+            points=points,
+            sigma_max_m=float(landmark_map.sigma_m(parameters.landmark_sigma_m).max()),
+            range_m=(sight.range_min_m, sight.range_max_m),
+            class_m=height.astype(np.float64) * BOTTOM_STEP_M,
+            pair=pair[order],
+            key=key[order],
+            step=step,
+        )
+
+    def between(self, pair_class: Indices, low_m: Array, high_m: Array) -> tuple[Indices, Indices]:
+        """Return for queries (Q,) the slice first … last (Q,) of the pairs of this class at low_m … high_m (Q,)."""
+        first = np.searchsorted(self.key, pair_class * self.step + np.clip(low_m, 0.0, self.step - 1e-9))
+        high = pair_class * self.step + np.clip(high_m, 0.0, self.step - 1e-9)
+        return first, np.maximum(np.searchsorted(self.key, high, side="right"), first)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,49 +112,48 @@ class Feet:
     foot_sigma: float
     length_px: Array
 
-    def __len__(self) -> int:
-        return len(self.bearing)
+    @classmethod
+    def of(cls, frame: Frame) -> Feet:
+        """Return bearings and feet of the edges of an image, by their line or by their slope alone."""
+        camera, known, (bearing, _) = frame.camera, np.flatnonzero(frame.is_known), frame.bearings
+        order = known[np.argsort(bearing[known], kind="stable")]
+        edges, bearing = frame.edges.take(order), bearing[order]
+        ends, cut = ends_lower_first(edges.ends_px, camera)
+        unknown = np.isnan(ends).any(axis=1)
+        mount, ahead = camera.mount, edges.foot_range_m * np.cos(bearing)
+        s, c = np.sin(mount.tilt_rad), np.cos(mount.tilt_rad)
+        by_range = (ahead * s - mount.height_m * c) / (ahead * c + mount.height_m * s)  # of a point on the floor
+        foot = np.where(unknown, by_range, np.where(cut[:, 0], np.nan, ends[:, 0]))
+        known_sigma = np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, edges.common.sigma_of("tilt"))
+        by_height = edges.height_sigma_m * end_per_height(ends, camera)[:, 0]
+        sigma = float(np.hypot(known_sigma, np.median(by_height[~unknown]) if not unknown.all() else 0.0))
+        return cls(camera, bearing, foot, sigma, np.nan_to_num(edges.length_px, nan=1.0))
 
-    def robot_poses(self, camera_poses: Array) -> Array:
-        """Return where in the map (N, 3) the robot is whose camera is at (N, 3)."""
-        return compose(camera_poses, between(self.camera.robot_from_level, np.zeros(3)))
+    def ranges(self, pairs: LandmarkPairs) -> tuple[Array, Array]:
+        """Return range and its sigma (E, B), m, of every edge if its foot is at each height; nan where unknown.
 
-
-def feet_of(frame: Frame) -> Feet:
-    """Return bearings and feet of the edges of an image, by their line or by their slope alone."""
-    camera, known, (bearing, _) = frame.camera, np.flatnonzero(frame.is_known), frame.bearings
-    order = known[np.argsort(bearing[known], kind="stable")]
-    edges, bearing = frame.edges.take(order), bearing[order]
-    ends, cut = ends_lower_first(edges.ends_px, camera)
-    unknown = np.isnan(ends).any(axis=1)
-    mount, ahead = camera.mount, edges.foot_range_m * np.cos(bearing)
-    s, c = np.sin(mount.tilt_rad), np.cos(mount.tilt_rad)
-    by_range = (ahead * s - mount.height_m * c) / (ahead * c + mount.height_m * s)  # of a point on the floor
-    known_sigma = np.hypot(ENDPOINT_SIGMA_PX / camera.focal_px, edges.common.sigma_of("tilt"))
-    by_height = edges.height_sigma_m * end_per_height(ends, camera)[:, 0]
-    return Feet(
-        camera=camera,
-        bearing=bearing,
-        foot=np.where(unknown, by_range, np.where(cut[:, 0], np.nan, ends[:, 0])),
-        foot_sigma=float(np.hypot(known_sigma, np.median(by_height[~unknown]) if not unknown.all() else 0.0)),
-        length_px=np.nan_to_num(edges.length_px, nan=1.0),
-    )
-
-
-def poses_of(feet: Feet, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return robot poses (K ≤ count, 3) in the region, and how many of those tried are expected to be the true one.
-
-    Three bearings are tried where feet give less than half of the poses.
-    """
-    poses, hits = from_feet(feet, places, count, rng)
-    if len(poses) < count // 2:
-        more, more_hits = from_bearings(feet, places, count - len(poses), rng)
-        poses, hits = np.concatenate([poses, more]), hits + more_hits
-    return poses[places.region.contains(poses)], hits
+        The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera, which has a known
+        height.
+        """
+        s, c = np.sin(self.camera.mount.tilt_rad), np.cos(self.camera.mount.tilt_rad)
+        drop = self.camera.mount.height_m - pairs.class_m
+        fall = ((s - self.foot * c) / (c + self.foot * s))[:, None]
+        per_e = (1.0 / (c + self.foot * s) ** 2)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ahead = drop / fall
+            # Heights within a group are even over one step.
+            relative = np.hypot(np.abs(per_e / fall) * self.foot_sigma, BOTTOM_STEP_M / np.sqrt(12) / np.abs(drop))
+            range_m = ahead / np.cos(self.bearing)[:, None]
+            told = (ahead > 0) & (relative < WORST_RANGE)
+            told &= (range_m >= pairs.range_m[0]) & (range_m <= pairs.range_m[1])
+            return np.where(told, range_m, np.nan), np.where(told, range_m * relative, np.nan)
 
 
-def from_feet(feet: Feet, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return robot poses (K ≤ count, 3) at which two edges, with the ranges of their feet, are two landmarks.
+# -- two feet ---------------------------------------------------------------------------------------------------------
+
+
+def from_feet(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Generator) -> tuple[Array, float]:
+    """Return camera poses (K ≤ count, 3) at which two edges, with the ranges of their feet, are two landmarks.
 
     Two edges with ranges make two points, and only pairs of landmarks as far apart as these can be them. The bearings
     are then held exactly; of the ranges only the ratio counts. Pairs of edges come first that are long, so hardly ever
@@ -93,7 +162,7 @@ def from_feet(feet: Feet, places: Places, count: int, rng: np.random.Generator) 
     The second value is how many of the poses are expected to be the true one: `BOTH_RIGHT` of the pairs of edges, times
     the part of all their pairs of landmarks that is tried.
     """
-    ranges, sigmas = _foot_ranges(feet, places)
+    ranges, sigmas = feet.ranges(pairs)
     usable = np.flatnonzero(np.isfinite(ranges).any(axis=1))
     i, j = (usable[one] for one in np.triu_indices(len(usable), k=1))
     wide = feet.bearing[j] - feet.bearing[i] >= NARROWEST_RAD
@@ -108,9 +177,9 @@ def from_feet(feet: Feet, places: Places, count: int, rng: np.random.Generator) 
     sigma = np.hypot(sigmas[i, :, None] * (r_i - r_j * cos), sigmas[j, None, :] * (r_j - r_i * cos))  # to first order
     sigma /= np.maximum(apart, 1e-6)
     pair, one, other = np.nonzero(np.isfinite(apart))
-    slack = GATE_SIGMAS * sigma[pair, one, other] + 3 * places.sigma_max_m
+    slack = GATE_SIGMAS * sigma[pair, one, other] + 3 * pairs.sigma_max_m
     apart = apart[pair, one, other]
-    first, last = places.pairs_between(one * len(places.class_m) + other, apart - slack, apart + slack)
+    first, last = pairs.between(one * len(pairs.class_m) + other, apart - slack, apart + slack)
     able = np.bincount(pair, last - first, minlength=len(i))
 
     # An exponential draw over merits, sorted, is a draw without putting back with chances in proportion to them.
@@ -129,48 +198,83 @@ def from_feet(feet: Feet, places: Places, count: int, rng: np.random.Generator) 
     some = rng.permutation(len(query))[:count]
     query, place = query[some], place[some]
     entry = first[keep[query]] + ((place + rng.random(len(place))) / part[query]).astype(np.int64)
-    landmark, query = places.pair[np.minimum(entry, last[keep[query]] - 1)], keep[query]
+    landmark, query = pairs.pair[np.minimum(entry, last[keep[query]] - 1)], keep[query]
     edges = np.stack([i, j], axis=-1)[pair[query]]
     measured = np.stack([ranges[edges[:, 0], one[query]], ranges[edges[:, 1], other[query]]], axis=-1)
-    points = places.points[landmark]
+    points = pairs.points[landmark]
     cameras = from_two_bearings(points[:, 0], points[:, 1], feet.bearing[edges], measured)
-    return feet.robot_poses(cameras), float(BOTH_RIGHT * len(i) * len(query) / max(able.sum(), 1))
+    return cameras, float(BOTH_RIGHT * len(i) * len(query) / max(able.sum(), 1))
 
 
-def _foot_ranges(feet: Feet, places: Places) -> tuple[Array, Array]:
-    """Return range and its sigma (E, B), m, of every edge if its foot is at each of the heights; nan where unknown.
+def from_two_bearings(first: Array, second: Array, bearings: Array, ranges: Array) -> Array:
+    """Return the camera's poses (K, 3) that see landmarks `first` and `second` (K, 2) at two bearings (K, 2) exactly.
 
-    The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera, which has a known
-    height.
+    ranges: (K, 2) distances, of which only the ratio counts: two bearings leave an arc through both landmarks (the
+    angle between them is inscribed in it), and the ratio says where on it the camera is. The distance of the landmarks
+    gives the scale, by the law of cosines.
     """
-    tilt, height_m = feet.camera.mount.tilt_rad, feet.camera.mount.height_m
-    s, c = np.sin(tilt), np.cos(tilt)
-    drop = height_m - places.class_m
-    fall = ((s - feet.foot * c) / (c + feet.foot * s))[:, None]
-    per_e = (1.0 / (c + feet.foot * s) ** 2)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ahead = drop / fall
-        relative = np.abs(per_e / fall) * feet.foot_sigma
-        # Heights within a group are even over one step.
-        relative = np.hypot(relative, BOTTOM_STEP_M / np.sqrt(12) / np.abs(drop))
-        range_m = ahead / np.cos(feet.bearing)[:, None]
-        told = (ahead > 0) & (relative < WORST_RANGE)
-        told &= (range_m >= places.range_m[0]) & (range_m <= places.range_m[1])
-        sigma_m = range_m * relative
-    return np.where(told, range_m, np.nan), np.where(told, sigma_m, np.nan)
+    ray = np.stack([np.sin(bearings), -np.cos(bearings)], axis=-1) * ranges[..., None]
+    across, along = ray[:, 1] - ray[:, 0], second - first
+    scale = np.hypot(along[:, 0], along[:, 1]) / np.hypot(across[:, 0], across[:, 1])
+    # The rotation by h turns a vector's angle atan2(z, x) by -h.
+    heading = np.arctan2(across[:, 1], across[:, 0]) - np.arctan2(along[:, 1], along[:, 0])
+    turned = np.concatenate([np.zeros_like(first), heading[:, None]], axis=1)
+    position = first - geometry.map_from_robot(turned, ray[:, 0] * scale[:, None])
+    return np.concatenate([position, wrap_angle(heading)[:, None]], axis=1)
 
 
-def from_bearings(feet: Feet, places: Places, count: int, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return robot poses (K ≤ count, 3) at which three edges are three landmarks, and how many are expected to be true.
+# -- three bearings ---------------------------------------------------------------------------------------------------
+
+
+def from_bearings(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Generator) -> tuple[Array, float]:
+    """Return camera poses (K ≤ count, 3) at which three edges are three landmarks, and how many should be true.
 
     None where the map is so large that three right edges would hardly ever be drawn with their three landmarks.
     """
-    triples = len(places) * (len(places) - 1) * (len(places) - 2)
-    if len(feet) < 3 or len(places) < 3 or triples > MOST_TRIPLES * count:
+    edges, landmarks = len(feet.bearing), len(pairs.points)
+    triples = landmarks * (landmarks - 1) * (landmarks - 2)
+    if min(edges, landmarks) < 3 or triples > MOST_TRIPLES * count:
         return np.zeros((0, 3)), 0.0
-    edges, landmarks = _drawn(len(feet), count, rng), _drawn(len(places), count, rng)
-    cameras = from_three_bearings(places.points[landmarks], feet.bearing[edges])
-    return feet.robot_poses(cameras[np.isfinite(cameras).all(axis=1)]), ALL_RIGHT * count / triples
+    # Triples of distinct indices, in random order.
+    edge, landmark = (np.argpartition(rng.random((count, of)), 2, axis=1)[:, :3] for of in (edges, landmarks))
+    cameras = from_three_bearings(pairs.points[landmark], feet.bearing[edge])
+    return cameras[np.isfinite(cameras).all(axis=1)], ALL_RIGHT * count / triples
+
+
+def from_three_bearings(points: Array, bearings: Array) -> Array:
+    """Return the camera's poses (K, 3) that see three landmarks at three bearings; nan where there is none.
+
+    points: (K, 3, 2) landmarks in the map. bearings: (K, 3) rad, from the camera's forward axis, positive right.
+
+    A landmark p lies on its ray when n·(Rᵀp - u) = 0 with n = (cos b, sin b) across the ray, R the camera's rotation by
+    its heading h and u = Rᵀt. That is linear in (cos h, sin h, u): three rays leave one line of solutions, and
+    cos² h + sin² h = 1 picks two points of it. They are mirrored through the camera, and at most one of them has all
+    landmarks ahead. There is none where camera and landmarks lie on one circle.
+    """
+    nx, nz = np.cos(bearings), np.sin(bearings)
+    px, pz = points[..., 0], points[..., 1]
+    rows = np.stack([nx * px + nz * pz, nz * px - nx * pz, -nx, -nz], axis=-1)
+    # Landmarks near the map's origin or far from it alike: scale the first two unknowns to the others.
+    scale = np.maximum(np.abs(points).max(axis=(1, 2)), 1.0)
+    rows[..., :2] /= scale[:, None, None]
+    # The minors of the rows are a vector across them, as long as the volume that they span (Cauchy, Binet).
+    minors = [np.linalg.det(np.delete(rows, column, axis=-1)) * (-1) ** column for column in range(4)]
+    free = np.stack(minors, axis=-1)
+    volume = np.linalg.norm(free, axis=-1)
+    free /= np.maximum(volume, 1e-300)[:, None]
+    free[:, :2] /= scale[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cos, sin, ux, uz = (free / np.hypot(free[:, 0], free[:, 1])[:, None]).T
+    poses = np.stack([cos * ux + sin * uz, -sin * ux + cos * uz, np.arctan2(sin, cos)], axis=-1)
+    seen = geometry.robot_from_map(poses[:, None], points)
+    ahead = seen[..., 0] * np.sin(bearings) - seen[..., 1] * np.cos(bearings)
+    side = np.where((ahead > 0).all(axis=1), 1.0, np.where((ahead < 0).all(axis=1), -1.0, np.nan))
+    poses[:, 2] = np.arctan2(side * sin, side * cos)
+    poses[(volume <= 1e-6) | np.isnan(poses).any(axis=1)] = np.nan  # a plane of solutions, or none
+    return poses
+
+
+# -- a marker ---------------------------------------------------------------------------------------------------------
 
 
 def from_markers(camera: Camera, edges: Edges, landmark_map: LandmarkMap) -> Array:
@@ -179,20 +283,15 @@ def from_markers(camera: Camera, edges: Edges, landmark_map: LandmarkMap) -> Arr
     From everywhere on a circle through both sides they are as far apart. So there are poses for each direction from
     which the marker can be read.
     """
-    marked, poses = marked_landmarks(edges, landmark_map), []
+    marked, poses = marked_landmarks(edges, landmark_map), [np.zeros((0, 3))]
+    turn = np.deg2rad(np.arange(-MOST_ASLANT_DEG, MOST_ASLANT_DEG + 1, ASLANT_STEP_DEG))
     for left in np.flatnonzero((marked >= 0) & (edges.landmark_id % 2 == 0)):  # those are the left sides
         for right in np.flatnonzero((edges.landmark_id == edges.landmark_id[left] - 1) & (marked >= 0)):
             ends, bearing = landmark_map.points[marked[[left, right]]], edges.bearing[[left, right]]
             across, apart = ends[1] - ends[0], bearing[1] - bearing[0]
             if apart > 0:
-                turn = np.deg2rad(np.arange(-MOST_ASLANT_DEG, MOST_ASLANT_DEG + 1, ASLANT_STEP_DEG))
                 range_m = np.hypot(*across) * np.cos(turn) / apart
                 towards = np.arctan2(-across[1], across[0]) + turn  # heading of who looks at its middle
                 middle = ends.mean(axis=0) - range_m[:, None] * forward(towards)
                 poses.append(np.column_stack([middle, wrap_angle(towards + bearing.mean())]))
-    return np.concatenate([*poses, np.zeros((0, 3))])
-
-
-def _drawn(size: int, count: int, rng: np.random.Generator) -> Indices:
-    """Return `count` triples (count, 3) of distinct indices below `size`, in random order."""
-    return np.asarray(np.argpartition(rng.random((count, size)), 2, axis=1)[:, :3])
+    return np.concatenate(poses)

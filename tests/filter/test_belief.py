@@ -48,7 +48,7 @@ def test_hidden_landmarks_do_not_speak_for_a_place_that_has_none(seed: int) -> N
     robot.start(poses[0], START, 0)
     there = replace(robot.state.particles, columns=robot.state.particles.columns.copy())
     there.columns[0] += 40.0
-    robot.state.belief = Belief(0.99, 0.01, 0.0, 0.0, candidates=Candidates.unknown(there))
+    robot.state.belief = Belief(0.99, 0.01, 0.0, 0.0, candidates=Candidates.of(there))
     robot.odometry(0, poses[0])
     for t_ns, pose, edges in zip(truth.t_ns, poses, images, strict=True):
         robot.edges(int(t_ns), edges)
@@ -120,7 +120,7 @@ def test_landmarks_that_are_missing_say_nothing_of_the_map_where_the_robot_is_el
 @pytest.mark.parametrize("near", [MISSED, NearLandmarks(np.arange(9), np.full(9, 9.0), np.full(9, 9.0))])
 def test_a_place_that_is_tracked_anew_is_tested_anew(near: NearLandmarks) -> None:
     """What was seen from another place speaks against the map, not for this place, and fades."""
-    others = Candidates.unknown(replace(CLOUD, columns=CLOUD.columns + 5.0))
+    others = Candidates.of(replace(CLOUD, columns=CLOUD.columns + 5.0))
     found = Belief(0.001, 0.99, 0.0, 0.009, candidates=others, near=near).found(is_tracked=True)
     for belief in (found[1], Belief(0.9, 0.05, 0.0, 0.05, near=near).released(CLOUD)):
         assert not len(belief.near.landmark)

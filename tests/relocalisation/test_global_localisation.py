@@ -21,6 +21,7 @@ from localiser.observation import DETECTION_RATES, EdgeObservation, InlierRate, 
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, cells_of, find_clusters
 from localiser.relocalisation import Candidates, History
 from localiser.relocalisation.global_localisation import FEWEST, GlobalLocalisation, SearchParameters
+from localiser.relocalisation.hypotheses import Feet
 
 SECOND = 1_000_000_000
 ROOM = room(80)
@@ -160,7 +161,7 @@ def test_a_map_that_does_not_fit_is_named() -> None:
 
 
 def places(poses: Array, log_weight: Array | None = None) -> Candidates:
-    return Candidates.unknown(cloud(poses, log_weight))
+    return Candidates.of(cloud(poses, log_weight))
 
 
 def total(belief: Belief) -> float:
@@ -451,17 +452,18 @@ def test_a_pose_near_the_tracked_place_is_no_other_place(monkeypatch: pytest.Mon
 
 def test_proposed_poses_keep_the_constant_errors_and_see_through_them() -> None:
     """A robot whose camera is turned by 0.02 has a heading that is as much less, and is as likely."""
-    clues = SEARCH.clues(drive(1).events[1])  # type: ignore[arg-type]
+    sighting = drive(1).events[1]
     straight, turned = (
         Particles((*POSE, CAMERA_YAW), np.array([[0.0, 0.0, 0.0, yaw]]).T, np.zeros(1)) for yaw in (0.0, 0.02)
     )
     (first, _), (second, _) = (
-        SEARCH.proposed(like, clues, 0.5, np.random.default_rng(0)) for like in (straight, turned)
+        SEARCH.proposed(like, sighting, 0.5, np.random.default_rng(0))  # type: ignore[arg-type]
+        for like in (straight, turned)
     )
     one, other = first.particles, second.particles
     assert (other[CAMERA_YAW] == 0.02).all() and np.array_equal(one.log_weight, other.log_weight)
     np.testing.assert_allclose(geometry.wrap_angle(one["heading"] - other["heading"]), 0.02)
-    np.testing.assert_allclose(clues.by_rate(one), clues.by_rate(other), atol=1e-6)
+    np.testing.assert_allclose(*(SEARCH.by_rate(each, sighting) for each in (one, other)), atol=1e-6)  # type: ignore[arg-type]
 
 
 def test_joined_candidates_have_the_odds_that_are_asked_for() -> None:
@@ -510,7 +512,7 @@ def two_places(rng: np.random.Generator) -> Candidates:
         [rng.uniform([0, 0, 0], [0.2, 0.2, 0.1], (40, 3)), rng.uniform([5, 5, 1.1], [5.1, 5.1, 1.2], (60, 3))]
     )
     assert len(np.unique(cells_of(poses))) == 2
-    return Candidates.unknown(cloud(poses, rng.normal(size=100)))
+    return Candidates.of(cloud(poses, rng.normal(size=100)))
 
 
 def test_particles_of_a_cell_share_its_weight_as_tracked_ones_would() -> None:
@@ -549,14 +551,13 @@ def evidence_of_the_truth(images: Drive, seed: int, *, as_tracked: bool) -> floa
     """Return the sum over images of log mean p(edges | candidate), for candidates from near the true start on."""
     rng, motion = np.random.default_rng(seed), MotionParameters()
     start = particles.from_gaussian(images.truth[0], np.diag([0.1, 0.1, 0.05]) ** 2, 2000, rng)
-    candidates, total, before = Candidates.unknown(start), 0.0, images.odometry[0]
+    candidates, total, before = Candidates.of(start), 0.0, images.odometry[0]
     sightings = [event for event in images.events if isinstance(event, Sighting)]
     for odometry, sighting in zip(images.odometry, sightings, strict=True):
         increment, before = Increment.from_mean(geometry.between(before, odometry)), odometry
         moved = replace(candidates, particles=motion.predict(candidates.particles, increment, rng))
-        clues = SEARCH.clues(sighting)
-        within = clues.as_tracked(moved.particles) if as_tracked else None
-        by_rate = clues.by_rate(moved.particles)
+        within = OBSERVATION.log_likelihood(moved.particles, sighting, ROOM) if as_tracked else None
+        by_rate = SEARCH.by_rate(moved.particles, sighting)
         candidates, log_mean = moved.weighed(by_rate, 0.4, needs_landmarks=False, within=within)
         candidates = candidates.resampled(2000, rng)
         total += log_mean
@@ -594,9 +595,9 @@ def test_clusters_of_belief_and_candidates_share_the_weight() -> None:
 
 
 @pytest.mark.parametrize("unknown", [0, 1, 2])
-def test_an_image_is_blind_where_its_view_holds_too_few_edges(unknown: int) -> None:
+def test_an_edge_of_which_nothing_was_measured_tells_nothing(unknown: int) -> None:
     bearing, sigma = np.linspace(-0.3, 0.3, FEWEST + 1), np.full(FEWEST + 1, 0.01)
     sigma[:unknown] = np.nan
-    clues = SEARCH.clues(Sighting(0, Edges.from_columns(bearing, sigma, bearing, sigma)))
-    assert len(clues.feet) == FEWEST + 1 - unknown
-    assert clues.is_blind == (unknown == 2)
+    edges = Edges.from_columns(bearing, sigma, bearing, sigma)
+    assert SEARCH.known_edges(Sighting(0, edges)) == FEWEST + 1 - unknown
+    assert len(Feet.of(OBSERVATION.frame(edges)).bearing) == FEWEST + 1 - unknown

@@ -1,6 +1,6 @@
 """What earlier images say of a place that is proposed late, against candidates that were followed all along."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,8 @@ from localiser.geometry import Array, Increment, Trajectory, between, compose
 from localiser.motion import MotionModel, MotionParameters, covariance_of
 from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationParameters, Sighting
 from localiser.particles import POSE, Particles, cells_of
-from localiser.relocalisation import Candidates, GlobalLocalisation, History, Limits, beyond
+from localiser.relocalisation import Candidates, GlobalLocalisation, History, beyond
+from localiser.relocalisation.global_localisation import FEWEST
 from localiser.relocalisation.history import SCENES
 
 ROOM = room(80)
@@ -31,35 +32,42 @@ class Exact:
 EXACT: MotionModel = Exact()
 
 
-@dataclass(frozen=True)
-class StatedClues:
-    """An image whose log-likelihood is proportional to how far back the robot is."""
+FREE = np.array([0.0, np.inf])  # limits of what a place may gain by an image
 
-    slope: float
-    is_blind: bool = False
 
-    def by_rate(self, particles: Particles) -> Array:
+class Stated:
+    """A search in which an image is a number: its log-likelihood is so many times how far back the robot is."""
+
+    def known_edges(self, _: float) -> int:
+        """Return that every image has many edges."""
+        return 10
+
+    def by_rate(self, particles: Particles, slope: float) -> Array:
         """Return log p (K, N), the same for each detection rate."""
-        return np.tile(self.slope * particles.columns[1], (len(DETECTION_RATES), 1))
+        return np.tile(slope * particles.columns[1], (len(DETECTION_RATES), 1))
 
 
 def proposed(poses: Array, log_weight: Array | None = None) -> Candidates:
     weight = np.zeros(len(poses)) if log_weight is None else log_weight
-    return Candidates.unknown(Particles(POSE, np.ascontiguousarray(np.asarray(poses, dtype=float).T), weight))
+    return Candidates.of(Particles(POSE, np.ascontiguousarray(np.asarray(poses, dtype=float).T), weight))
 
 
-def driven(slopes: list[float], entered: list[float], limits: list[Limits]) -> History:
+def driven(slopes: list[float], entered: list[float], limits: list[Array]) -> History:
     """A history of one image a scene, of which the last is only on its way."""
     history = History()
     for slope, probability, limit in zip(slopes, entered, limits, strict=True):
-        history = history.moved(STEP, 1.0).entering(probability).limited(limit)
-        history = history.with_image(StatedClues(slope))  # type: ignore[arg-type]
+        history = limited(history.moved(STEP, 1.0).entering(probability), limit)
+        history = history.with_image(slope)  # type: ignore[arg-type]
     return history
 
 
-def log_weights(history: History, candidates: Candidates, clues: object, motion: MotionModel = EXACT) -> Array:
+def limited(history: History, limits: Array = FREE) -> History:
+    return replace(history, limits=history.limits + limits)
+
+
+def log_weights(history: History, candidates: Candidates, slope: float, search: Stated | None = None) -> Array:
     rng = np.random.default_rng(0)
-    return history.weighed(candidates, clues, lambda stated: stated, motion, rng).particles.log_weight  # type: ignore[arg-type]
+    return history.weighed(candidates, slope, search or Stated(), EXACT, rng).particles.log_weight  # type: ignore[arg-type]
 
 
 def test_a_place_that_is_proposed_late_is_as_likely_as_if_it_had_been_followed() -> None:
@@ -76,17 +84,16 @@ def test_a_place_that_is_proposed_late_is_as_likely_as_if_it_had_been_followed()
     followed = proposed(begin + rng.normal(0, [0.3, 0.3, 0.1], (40, 3)), rng.normal(size=40))
     prior, history = followed.particles.log_weight, History(entered=np.array([0.4]))
     for index, sighting in enumerate(images):
-        clues = SEARCH.clues(sighting)
         if index:
             followed = replace(followed, particles=EXACT.predict(followed.particles, STEP, rng))
-        by_rate = clues.by_rate(followed.particles)
-        followed, _ = followed.weighed(by_rate, 1.0, needs_landmarks=not clues.is_blind)
-        history = history.moved(STEP, 1.0).limited(Limits())
+        by_rate, is_telling = SEARCH.by_rate(followed.particles, sighting), SEARCH.known_edges(sighting) >= FEWEST
+        followed, _ = followed.weighed(by_rate, 1.0, needs_landmarks=is_telling)
+        history = limited(history.moved(STEP, 1.0))
         if index < 9:
             history = history.with_image(sighting)
 
     late = proposed(followed.particles.poses, prior)
-    found = history.weighed(late, images[-1], SEARCH.clues, EXACT, rng)
+    found = history.weighed(late, images[-1], SEARCH, EXACT, rng)
     assert found.particles.log_weight == pytest.approx(followed.particles.log_weight + np.log(0.4), abs=1e-6)
     np.testing.assert_allclose(found.rates, followed.rates, atol=1e-9)
     assert np.ptp(found.particles.log_weight) > 20.0, "these images tell the places apart"
@@ -95,48 +102,44 @@ def test_a_place_that_is_proposed_late_is_as_likely_as_if_it_had_been_followed()
 def test_what_entered_later_counts_by_later_images_only() -> None:
     """A plain sum over when the robot came, of products over the images since, each within its limits."""
     slopes, entered = [2.0, 3.0, 5.0, 1.0], [0.5, 0.01, 0.002, 0.1]
-    limits = [Limits(), Limits(0.7, 0.9), Limits(), Limits(0.1, 2.0)]
-    history = driven(slopes[:3], entered[:3], limits[:3]).moved(STEP, 0.4).entering(entered[3]).limited(limits[3])
+    limits = [FREE, np.array([0.7, 0.9]), FREE, np.array([0.1, 2.0])]
+    history = limited(driven(slopes[:3], entered[:3], limits[:3]).moved(STEP, 0.4).entering(entered[3]), limits[3])
     poses = np.array([[0.0, 0.5, 0.0], [0.3, -0.2, 0.6], [1.0, 0.4, -1.0]])
-    found = log_weights(history, proposed(poses, np.array([0.0, 0.2, -0.3])), StatedClues(slopes[3]))
+    found = log_weights(history, proposed(poses, np.array([0.0, 0.2, -0.3])), slopes[3])
     for pose, log_prior, log_weight in zip(poses, [0.0, 0.2, -0.3], found, strict=True):
         at = [pose]
         for _ in range(3):
             at.insert(0, compose(at[0], between(STEP.mean, np.zeros(3))))
         gains = [slope * place[1] * new for slope, place, new in zip(slopes, at, [1, 1, 1, 0.4], strict=True)]
-        gains = [min(gain - limit.less, limit.most) for gain, limit in zip(gains, limits, strict=True)]
+        gains = [min(gain - limit[0], limit[1]) for gain, limit in zip(gains, limits, strict=True)]
         total = sum(came * np.exp(sum(gains[when:])) for when, came in enumerate(entered))
         assert log_weight == pytest.approx(log_prior + np.log(total))
 
 
 def test_without_earlier_images_only_this_one_counts_and_wholly() -> None:
-    history = History(entered=np.array([0.5])).moved(STEP, 0.1).limited(Limits())
-    assert log_weights(history, proposed(np.array([[0.0, 2.0, 0.0]])), StatedClues(3.0)) == pytest.approx(
-        [6.0 + np.log(0.5)]
-    )
+    history = limited(History(entered=np.array([0.5])).moved(STEP, 0.1))
+    assert log_weights(history, proposed(np.array([[0.0, 2.0, 0.0]])), 3.0) == pytest.approx([6.0 + np.log(0.5)])
 
 
 def test_images_of_one_scene_are_kept_once() -> None:
     history = History(entered=np.array([1.0])).moved(STEP, 0.3)
     for index in range(31):
-        history = history.with_image(StatedClues(float(index))).moved(STEP, 0.3)  # type: ignore[arg-type]
-    kept = [one.sighting.slope for one in history.images]  # type: ignore[attr-defined]
-    assert kept == [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0]
+        history = history.with_image(float(index)).moved(STEP, 0.3)  # type: ignore[arg-type]
+    assert [one.sighting for one in history.images] == [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0]
     np.testing.assert_allclose(history.images[0].step.path_m, 4 * STEP.path_m)
 
 
 def test_what_entered_before_the_robot_was_carried_counts_no_longer() -> None:
-    history = driven([1.0, 1.0], [0.5, 0.25], [Limits()] * 2).entering(0.1, carried=0.2)
+    history = driven([1.0, 1.0], [0.5, 0.25], [FREE] * 2).entering(0.1, carried=0.2)
     assert history.entered == pytest.approx([0.4, 0.2, 0.1])
-    assert history.scaled(2.0).entered == pytest.approx([0.8, 0.4, 0.2])
 
 
 @pytest.mark.parametrize("overlooked", [0.3, 1.0])
 def test_what_entered_before_the_images_that_are_kept_falls_by_what_is_looked_at(overlooked: float) -> None:
     history = History(entered=np.array([0.5]))
     for _ in range(SCENES + 2):
-        history = history.moved(STEP, 1.0).looked(overlooked**0.5).looked(overlooked**0.5)
-        history = history.with_image(StatedClues(1.0))  # type: ignore[arg-type]
+        history = replace(history.moved(STEP, 1.0), overlooked=overlooked)
+        history = history.with_image(1.0)  # type: ignore[arg-type]
     assert len(history.images) == SCENES
     assert history.entered.sum() == pytest.approx(0.5 * overlooked**2)
 
@@ -144,27 +147,35 @@ def test_what_entered_before_the_images_that_are_kept_falls_by_what_is_looked_at
 def test_a_robot_that_enters_later_has_learnt_nothing_of_the_detection_rate_before() -> None:
     """Its first images show nothing that a place expects, and then it is carried to where it all shows."""
 
-    class Rated(StatedClues):
-        def by_rate(self, particles: Particles) -> Array:
-            return np.tile(self.slope * np.arange(len(DETECTION_RATES))[:, None], (1, len(particles)))
+    class Rated(Stated):
+        def by_rate(self, particles: Particles, slope: float) -> Array:
+            return np.tile(slope * np.arange(len(DETECTION_RATES))[:, None], (1, len(particles)))
 
     history = History(entered=np.array([1.0]))
     for _ in range(5):
-        history = history.moved(STEP, 1.0).limited(Limits()).with_image(Rated(-2.0))  # type: ignore[arg-type]
-    history = history.moved(STEP, 1.0).entering(1.0, carried=1.0).limited(Limits())
-    fresh = History(entered=np.array([1.0])).moved(STEP, 1.0).limited(Limits())
+        history = limited(history.moved(STEP, 1.0)).with_image(-2.0)  # type: ignore[arg-type]
+    history = limited(history.moved(STEP, 1.0).entering(1.0, carried=1.0))
+    fresh = limited(History(entered=np.array([1.0])).moved(STEP, 1.0))
     at = proposed(np.zeros((1, 3)))
-    assert log_weights(history, at, Rated(2.0)) == pytest.approx(log_weights(fresh, at, Rated(2.0)), abs=1e-6)
+    late, at_once = (log_weights(each, at, 2.0, Rated()) for each in (history, fresh))
+    assert late == pytest.approx(at_once, abs=1e-6)
 
 
 def test_places_before_are_as_uncertain_as_odometry() -> None:
     """The covariance of 20,000 draws, within four standard errors."""
     motion, count, rng = MotionParameters(), 20_000, np.random.default_rng(1)
     step = Increment.from_mean([0.1, -0.5, 0.4], np.diag([0.02, 0.05, 0.03]) ** 2)
-    history = History().moved(step, 1.0).with_image(StatedClues(1.0)).moved(step, 1.0)  # type: ignore[arg-type]
-    cloud = proposed(np.tile([1.0, 2.0, 0.5], (count, 1))).particles
-    before, now = history.places_before(cloud, motion, rng)
-    assert np.array_equal(now.columns, cloud.columns)
+    history, asked = limited(History().moved(step, 1.0)).with_image(1.0), []  # type: ignore[arg-type]
+
+    class Asked(Stated):
+        def by_rate(self, particles: Particles, slope: float) -> Array:
+            asked.append(particles)
+            return super().by_rate(particles, slope)
+
+    here = proposed(np.tile([1.0, 2.0, 0.5], (count, 1)))
+    limited(history.moved(step, 1.0)).weighed(here, 1.0, Asked(), motion, rng)  # type: ignore[arg-type]
+    before, now = asked
+    assert np.array_equal(now.columns, here.particles.columns)
     steps = between(before.poses, now.poses)
     cov = covariance_of(motion, step)
     np.testing.assert_allclose(steps.mean(axis=0), step.mean, atol=4 * np.sqrt(cov.max() / count))
@@ -176,20 +187,19 @@ def test_a_place_that_is_followed_already_is_not_counted_twice() -> None:
     """In each cell the larger of both probabilities."""
     rng = np.random.default_rng(2)
     found = proposed(rng.uniform([0, 0, 0], [3, 3, 1], (300, 3)), rng.normal(-8.0, 2.0, 300))
-    known = [(proposed(rng.uniform([0, 0, 0], [3, 3, 1], (200, 3))).particles, 0.2) for _ in range(2)]
-    more, probability = beyond(found, known)
-    every = [found.particles, *(one for one, _ in known)]
-    cell = np.split(cells_of(np.concatenate([one.poses for one in every])), [300, 500])
-    mass = [np.exp(found.particles.log_weight), *(share * one.weight for one, share in known)]
+    known = proposed(rng.uniform([0, 0, 0], [3, 3, 1], (200, 3)))
+    more, probability = beyond(found, known, 0.4)
+    cell = np.split(cells_of(np.concatenate([each.particles.poses for each in (found, known)])), [300])
+    mass = np.exp(found.particles.log_weight), 0.4 * known.particles.weight
     expected = 0.0
     for index in range(max(one.max() for one in cell) + 1):
-        new, *old = (weight[there == index].sum() for weight, there in zip(mass, cell, strict=True))
-        expected += max(new, sum(old)) - sum(old)
+        new, old = (weight[there == index].sum() for weight, there in zip(mass, cell, strict=True))
+        expected += max(new, old) - old
     assert probability == pytest.approx(expected) and 0 < expected < mass[0].sum()
     assert np.exp(more.particles.log_weight).sum() == pytest.approx(expected)
-    assert beyond(found, [])[1] == pytest.approx(mass[0].sum())
+    assert beyond(found, None, 0.0)[1] == pytest.approx(mass[0].sum())
     far = replace(found, particles=replace(found.particles, log_weight=found.particles.log_weight + 1000.0))
-    several, most = beyond(far, known)
+    several, most = beyond(far, known, 0.4)
     assert several is not None and np.isfinite(most) and np.ptp(several.particles.log_weight) > 5.0
-    nothing, none = beyond(found, [(found.particles, 1.0)])
+    nothing, none = beyond(found, found, 1.0)
     assert nothing is None and none == 0.0

@@ -13,8 +13,9 @@ from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, Frame, ObservationParameters, Sighting
 from localiser.particles import POSE, Particles, log_sum
-from localiser.relocalisation import GlobalLocalisation, feet_of, from_three_bearings, from_two_bearings
+from localiser.relocalisation import GlobalLocalisation
 from localiser.relocalisation.global_localisation import evenly_around
+from localiser.relocalisation.hypotheses import Feet, from_three_bearings, from_two_bearings
 
 ROOM = room()
 LIKE = Particles(POSE, np.zeros((3, 5)), np.zeros(5))
@@ -26,12 +27,12 @@ def search_on(landmark_map, kind="line"):
 
 def proposed(search, edges, seed=0):
     """Return the poses (N, 3) that an image proposes, their weights, and the log-likelihood of the image at them."""
-    clues = search.clues(Sighting(0, edges))
-    candidates, _ = search.proposed(LIKE, clues, 1.0, np.random.default_rng(seed))
+    sighting = Sighting(0, edges)
+    candidates, _ = search.proposed(LIKE, sighting, 1.0, np.random.default_rng(seed))
     if candidates is None:
         return np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     cloud = candidates.particles
-    return cloud.poses, cloud.log_weight, clues.anywhere(cloud)
+    return cloud.poses, cloud.log_weight, search.log_fit(cloud.poses, sighting)
 
 
 def beside(poses, pose, metres=0.25, degrees=5.0):
@@ -62,9 +63,8 @@ def test_proposed_poses_weigh_what_even_draws_do():
             poses, log_weight, fit = proposed(search, edges)
             near = beside(poses, pose)
             even = pose + box * rng.uniform(-0.5, 0.5, (30_000, 3))
-            at = Particles(POSE, even.T.copy(), np.zeros(len(even)))
-            log_even = log_sum(search.clues(Sighting(0, edges)).anywhere(at)[beside(even, pose)]) - np.log(len(even))
-            log_even += search.places.region.log_density + np.log(box.prod())
+            log_even = log_sum(search.log_fit(even, Sighting(0, edges))[beside(even, pose)]) - np.log(len(even))
+            log_even += search.region.log_density + np.log(box.prod())
             ratios.append(log_sum((log_weight + fit)[near]) - log_even)
             shares.append(np.exp(log_sum((log_weight + fit)[near]) - log_sum(log_weight + fit)))
     assert len(ratios) >= 10
@@ -75,11 +75,11 @@ def test_proposed_poses_weigh_what_even_draws_do():
 def test_weights_of_boxes_that_overlap_are_the_prior_of_what_they_cover():
     search, rng = search_on(ROOM), np.random.default_rng(0)
     centres = np.array([[0.0, 0.0, 3.1], [0.1, 0.05, -3.1], [2.0, 1.0, 0.0]])
-    sums = [np.exp(evenly_around(centres, search.places.region, rng).log_weight).sum() for _ in range(200)]
+    sums = [np.exp(evenly_around(centres, search.region, rng).log_weight).sum() for _ in range(200)]
     width, depth, turn = 0.25 - 0.1, 0.25 - 0.05, np.pi / 18 - (2 * np.pi - 6.2)
     covered = 3 * 0.25 * 0.25 * np.pi / 18 - width * depth * turn
-    assert np.mean(sums) == pytest.approx(covered * np.exp(search.places.region.log_density), rel=0.01)
-    assert len(evenly_around(np.array([[90.0, 0.0, 0.0]]), search.places.region, rng)) == 0
+    assert np.mean(sums) == pytest.approx(covered * np.exp(search.region.log_density), rel=0.01)
+    assert len(evenly_around(np.array([[90.0, 0.0, 0.0]]), search.region, rng)) == 0
 
 
 def test_bearings_alone_propose_the_pose():
@@ -112,19 +112,15 @@ def test_a_floor_range_says_the_same_as_the_end_that_it_was_measured_from():
     """Edges of something that reports the range of their feet and no ends."""
     _, frames = drawn_frames(ROOM, 60, seed=5)
     edges = next(edges for edges in frames if len(edges) >= 12)
-    view = feet_of(Frame(edges, CAMERA))
+    view = Feet.of(Frame(edges, CAMERA))
     foot_px = np.take_along_axis(edges.ends_px, edges.ends_px[..., 1].argmax(axis=1)[:, None, None], axis=1)[:, 0]
     range_m = np.linalg.norm(floor_points(CAMERA, foot_px), axis=-1)
     bare = Edges.from_columns(edges.bearing, edges.bearing_sigma, edges.lean, edges.lean_sigma, foot_range_m=range_m)
-    foot = feet_of(Frame(bare, CAMERA)).foot
+    foot = Feet.of(Frame(bare, CAMERA)).foot
     seen = np.isfinite(foot) & np.isfinite(view.foot)
     assert seen.sum() >= 8
     # The end itself errs across the edge, not along the bearing, by half a pixel.
     np.testing.assert_allclose(foot[seen], view.foot[seen], atol=2e-3)
-
-
-def test_warming_up_needs_no_edges():
-    search_on(ROOM).warm_up()
 
 
 property_test = settings(max_examples=80)

@@ -11,8 +11,10 @@ from scipy.stats import poisson
 
 from localiser.geometry import wrap_angle
 from localiser.landmarks import LandmarkMap, SightParameters
-from localiser.observation import Frame
-from localiser.relocalisation import Places, Region, feet_of, hypotheses, places
+from localiser.observation import Frame, ObservationParameters
+from localiser.relocalisation import hypotheses
+from localiser.relocalisation.global_localisation import Region
+from localiser.relocalisation.hypotheses import Feet, LandmarkPairs
 
 
 def on_a_grid() -> LandmarkMap:
@@ -24,7 +26,7 @@ def on_a_grid() -> LandmarkMap:
 def table_of(landmark_map: LandmarkMap, farthest_m: float):
     """Pairs, classes and distances by a table of all pairs."""
     points = landmark_map.points
-    _, group = np.unique(np.round(landmark_map.bottom_m / places.BOTTOM_STEP_M), return_inverse=True)
+    _, group = np.unique(np.round(landmark_map.bottom_m / hypotheses.BOTTOM_STEP_M), return_inverse=True)
     distance = np.hypot(*(points[:, None] - points[None, :]).T).T
     first, second = np.nonzero((distance > 1e-3) & (distance <= farthest_m))
     pair_class = group[first] * (group.max() + 1) + group[second]
@@ -33,12 +35,16 @@ def table_of(landmark_map: LandmarkMap, farthest_m: float):
 
 
 def seen_by(camera, edges):
-    return feet_of(Frame(edges, camera))
+    return Feet.of(Frame(edges, camera))
+
+
+def pairs_of(landmark_map):
+    return LandmarkPairs.of(landmark_map, ObservationParameters())
 
 
 @pytest.mark.parametrize("landmark_map", [room(200), on_a_grid()], ids=["room", "grid"])
 def test_pairs_are_those_of_a_table_of_all(landmark_map):
-    found, farthest_m = Places.of(landmark_map), 2 * SightParameters().range_max_m
+    found, farthest_m = pairs_of(landmark_map), 2 * SightParameters().range_max_m
     pair, pair_class, distance = table_of(landmark_map, farthest_m)
     key = pair_class * (farthest_m + 1.0) + distance
     np.testing.assert_allclose(found.key, key, atol=1e-9)
@@ -55,9 +61,9 @@ def test_pairs_are_those_of_a_table_of_all(landmark_map):
 @given(low=st.floats(-1, 9), width=st.floats(0, 2), first=st.integers(0, 39), second=st.integers(0, 39))
 def test_pairs_are_found_by_class_and_distance(low, width, first, second):
     landmark_map = room()
-    found, points = Places.of(landmark_map), landmark_map.points
+    found, points = pairs_of(landmark_map), landmark_map.points
     group = np.searchsorted(found.class_m, landmark_map.bottom_m - 0.0251)
-    begin, end = found.pairs_between(
+    begin, end = found.between(
         np.array([group[first] * len(found.class_m) + group[second]]), np.array([low]), np.array([low + width])
     )
     within = {tuple(pair) for pair in found.pair[begin[0] : end[0]].tolist()}
@@ -70,17 +76,16 @@ def test_pairs_are_found_by_class_and_distance(low, width, first, second):
 
 def test_of_too_many_pairs_about_the_nearest_are_kept(monkeypatch):
     landmark_map = room(200)
-    every = Places.of(landmark_map)
-    monkeypatch.setattr(places, "MOST_PAIRS", len(every.pair) // 2)
-    nearest = Places.of(landmark_map)
-    step = 2 * SightParameters().range_max_m + 1.0
+    every = pairs_of(landmark_map)
+    monkeypatch.setattr(hypotheses, "MOST_PAIRS", len(every.pair) // 2)
+    nearest = pairs_of(landmark_map)
     assert len(every.pair) // 3 < len(nearest.pair) < 0.7 * len(every.pair)
-    limit = (nearest.key % step).max()
-    assert len(nearest.pair) == ((every.key % step) <= limit).sum()
+    limit = (nearest.key % nearest.step).max()
+    assert len(nearest.pair) == ((every.key % every.step) <= limit).sum()
 
 
 def test_a_region_has_its_draws_inside_and_its_density_sums_to_one():
-    region = Region((-2.0, 3.0), (-1.0, 1.5))
+    region = Region(np.array([-2.0, -1.0, -np.pi]), np.array([3.0, 1.5, np.pi]))
     poses = region.drawn(2000, np.random.default_rng(3))
     assert region.contains(poses).all() and not region.contains(poses + np.array([5.0, 0.0, 0.0])).any()
     np.testing.assert_allclose(poses.mean(axis=0), [0.5, 0.25, 0.0], atol=0.15)
@@ -91,7 +96,7 @@ def test_an_image_tries_no_more_poses_than_asked_for_on_a_large_map(monkeypatch)
     """And in many images one of them is near the true one, though a pair of edges could be any of thousands."""
     floor = scale_building.floor_of(3000)
     drive = scale_building.drive_of(floor, 40, 30)
-    many = Places.of(floor.landmark_map)
+    many = pairs_of(floor.landmark_map)
     assert many.are_many
     looked_up = []
     from_bearings = hypotheses.from_two_bearings
@@ -111,7 +116,7 @@ def test_how_often_a_pose_that_is_tried_is_the_true_one_is_predicted(landmarks):
     """In 100 images, half to four times as often as expected, with the 99.7 % range of what is expected then."""
     floor = scale_building.floor_of(landmarks)
     drive = scale_building.drive_of(floor, 40, 100)
-    many, rng = Places.of(floor.landmark_map), np.random.default_rng(0)
+    many, rng = pairs_of(floor.landmark_map), np.random.default_rng(0)
     found, expected = 0, []
     for pose, edges in zip(drive.truth, drive.edges, strict=True):
         poses, hits = hypotheses.from_feet(seen_by(drive.camera, edges), many, 12_500, rng)
@@ -128,7 +133,7 @@ def test_how_often_three_edges_are_the_right_landmarks_is_predicted():
     """On a small map whose landmarks have no feet, as many triples as expected within a factor of three."""
     landmark_map = room(15)
     poses, frames = drawn_frames(landmark_map, 40, seed=1, clutter=3)
-    small, rng = Places.of(landmark_map), np.random.default_rng(0)
+    small, rng = pairs_of(landmark_map), np.random.default_rng(0)
     found, expected = 0, 0.0
     for pose, edges in zip(poses, frames, strict=True):
         tried, hits = hypotheses.from_bearings(seen_by(CAMERA, edges), small, 12_500, rng)
@@ -141,7 +146,7 @@ def test_how_often_three_edges_are_the_right_landmarks_is_predicted():
 def test_the_more_of_the_poses_are_tried_the_surer_one_of_them_is_the_true_one():
     floor = scale_building.floor_of(3000)
     drive = scale_building.drive_of(floor, 40, 1)
-    view, many = seen_by(drive.camera, drive.edges[0]), Places.of(floor.landmark_map)
+    view, many = seen_by(drive.camera, drive.edges[0]), pairs_of(floor.landmark_map)
     hits = [hypotheses.from_feet(view, many, count, np.random.default_rng(0))[1] for count in (1000, 2000, 8000)]
     assert hits == pytest.approx([hits[0], 2 * hits[0], 8 * hits[0]], rel=1e-3)
 
@@ -170,12 +175,3 @@ def test_a_robot_is_found_in_a_building_of_a_thousand_landmarks():
     record = run(drive, 1, start=None)
     assert record.sure.any()
     assert record.right[record.sure].all()
-
-
-def test_the_first_rooms_of_a_larger_building_are_those_of_a_smaller_one():
-    small, large = scale_building.floor_of(100), scale_building.floor_of(1000)
-    assert len(large.landmark_map) == 1000
-    apart = np.abs(small.landmark_map.points - large.landmark_map.points[:100])
-    assert apart.max() < 0.1  # but for the errors of the map
-    again = scale_building.floor_of(100)
-    np.testing.assert_array_equal(small.landmark_map.points, again.landmark_map.points)
