@@ -37,12 +37,15 @@ _CHANGE_OF_NOISE = (3 - np.sqrt(3.0)) / np.sqrt(np.pi)
 """Mean of the smaller of two neighbouring differences of white noise of sigma 1: min = |x| + |y| - max."""
 
 
-def gradient_kernel(scale_px: float) -> NDArray[np.float32]:
-    """Return the derivative of a Gaussian (K,), such that a ramp of 1 grey level per px gives 1."""
-    reach = int(np.ceil(3.5 * scale_px))
+def _gradient_kernel() -> NDArray[np.float32]:
+    reach = int(np.ceil(3.5 * SCALE_PX))
     x = np.arange(-reach, reach + 1)
-    kernel = x * np.exp(-(x**2) / (2 * scale_px**2))
+    kernel = x * np.exp(-(x**2) / (2 * SCALE_PX**2))
     return np.asarray(kernel / (kernel @ x), dtype=np.float32)
+
+
+KERNEL = _gradient_kernel()
+"""The derivative of a Gaussian (K,), such that a ramp of 1 grey level per px gives 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,21 +69,26 @@ class GradientField:
 
 
 class Peaks(NamedTuple):
-    """Peaks of a gradient field, P of them. row: block. column, position: whole and sub-pixel. polarity: as `Edges`."""
+    """Peaks of a gradient field, P of them, sorted by row.
+
+    row: block. column, position: whole and sub-pixel. polarity: as `Edges`. chain: which one each belongs to, from 0
+    on. A peak goes on from one in the block above when each is the other's nearest of its polarity, at most a column
+    off.
+    """
 
     row: NDArray[np.int64]
     column: NDArray[np.int64]
     position: Array
     polarity: NDArray[np.int8]
+    chain: NDArray[np.int64]
 
 
 def gradient_field(image: Image, camera: Camera) -> GradientField:
     """Return the gradient field of a grey image (H, W) of `camera`; 0 where the image has nothing to show."""
     grey, unseen = column_view(camera).blocks(image), unseen_blocks(camera)
-    kernel = gradient_kernel(SCALE_PX)
-    fine = _filtered(grey, kernel.reshape(1, -1), cv2.BORDER_REPLICATE)
+    fine = _filtered(grey, KERNEL.reshape(1, -1), cv2.BORDER_REPLICATE)
     fine[unseen] = 0.0
-    least = _LEAST_NOISE_GREY * float(np.linalg.norm(kernel)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
+    least = _LEAST_NOISE_GREY * float(np.linalg.norm(KERNEL)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
     noise = max(_robust_sigma(fine, camera), least)
     fine /= np.float32(noise)
     smooth = _filtered(fine, ALONG.reshape(-1, 1), cv2.BORDER_CONSTANT)
@@ -97,17 +105,13 @@ def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border:
 
 def _robust_sigma(values: NDArray[np.float32], camera: Camera) -> float:
     """Return 1.48 times the median size, about 0, of the values (B, W) that are seen."""
-    sample = _sample(camera)
-    return 1.4826 * _median(np.abs(values.ravel()[sample])) if len(sample) else 0.0
-
-
-def _median(values: NDArray[np.float32]) -> float:
-    """Return the median; `np.median` looks for nan first, which takes as long."""
-    half = len(values) // 2
-    if len(values) % 2:
-        return float(np.partition(values, half)[half])
-    lower, upper = np.partition(values, (half - 1, half))[half - 1 : half + 1]
-    return float((lower + upper) / 2)
+    size = np.abs(values.ravel()[_sample(camera)])
+    if not len(size):
+        return 0.0
+    half = len(size) // 2
+    # `np.median` looks for nan first, which takes as long.
+    lower, upper = np.partition(size, (max(half - 1, 0), half))[[half - 1 + len(size) % 2, half]]
+    return 1.4826 * float((lower + upper) / 2)
 
 
 @lru_cache(maxsize=8)
@@ -145,21 +149,13 @@ def unseen_blocks(camera: Camera) -> NDArray[np.bool_]:
 
 
 def peaks_of(field: GradientField) -> Peaks:
-    """Return where the size of the smoothed gradient has a peak along its row.
+    """Return where the size of the smoothed gradient has a peak along its row, and how peaks go on from row to row.
 
     None beside what is not seen: a slope that the border cuts off has no top there.
     """
-    least = PEAK_SIGMA * field.smooth_sigma
-    return Peaks(*compiled(peaks_loop)(field.smooth, field.unseen, least))
-
-
-def linked(peaks: Peaks, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return the chain (P,) that each peak of a field of this shape belongs to, numbered from 0.
-
-    A peak goes on from one in the block above when each is the other's nearest of its polarity, at most a column off.
-    """
-    who = np.full((shape[0] + 2, shape[1] + 2), -1, dtype=np.int32)
-    return compiled(links_loop)(peaks.row, peaks.column, peaks.position, peaks.polarity, who)
+    peaks = compiled(peaks_loop)(field.smooth, field.unseen, PEAK_SIGMA * field.smooth_sigma)
+    rows, width = field.smooth.shape
+    return Peaks(*peaks, compiled(links_loop)(*peaks, np.full((rows + 2, width + 2), -1, dtype=np.int32)))
 
 
 # -- loops, for numba to compile --------------------------------------------------------------------------------------
@@ -168,10 +164,7 @@ def linked(peaks: Peaks, shape: tuple[int, ...]) -> NDArray[np.int64]:
 def peaks_loop(
     smooth: NDArray[np.float32], unseen: NDArray[np.bool_], least: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int8]]:
-    """Return row, column, sub-pixel position and sign (P,) of the peaks along rows (B, W) that are higher than `least`.
-
-    None beside what is not seen.
-    """
+    """Return row, column, sub-pixel position and sign (P,) of the peaks along rows (B, W) higher than `least`."""
     rows, width = smooth.shape
     most = rows * (width // 2)
     row, column = np.empty(most, np.int64), np.empty(most, np.int64)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera, Mount, MountSigma
-from localiser.edges.column_detector import Columns
-from localiser.edges.detectors import DETECTORS, Detector, EdgeParameters, hough, lsd, register, registered
+from localiser.edges.detectors import DETECTORS, Columns, Detector, EdgeParameters, registered
 from localiser.edges.measure import edges_of_segments, polarity_of_profiles, profiles, readout_of
 from localiser.edges.mount import LENS_SIGMA, NEAR_RAD, MountError, NadirMiss, fit_mount, nadir_miss
 from localiser.edges.types import Edges, Segments
@@ -24,15 +23,8 @@ from localiser.geometry.compiled import compiled
 from localiser.image_files import decode
 from localiser.markers import sides_of_markers
 
-END_SIGMA_PX = 0.5
-"""Error of an end across the line, for detectors that do not state it."""
-
-MARKER_SIGMA_PX = 0.3
-"""The same of a marker's corner."""
-
-register("columns", Columns(EdgeParameters().min_contrast))
-register("lsd", lsd)
-register("hough", hough)
+END_SIGMA_PX, _MARKER_SIGMA_PX = 0.5, 0.3
+"""Error of an end across the line, for detectors that do not state it; the same of a marker's corner."""
 
 
 def find_edges(
@@ -70,7 +62,7 @@ def find_edges(
         lines, codes = sides_of_markers(grey, parameters.markers)
         sides, code = _segments_of_lines(lines.reshape(-1, 4), camera), np.concatenate([code, codes])
         polarity = polarity_of_profiles(profiles(sides.ends_px, grey, camera))
-        sides = replace(sides, sigma_px=np.full(len(sides), MARKER_SIGMA_PX), polarity=polarity)
+        sides = replace(sides, sigma_px=np.full(len(sides), _MARKER_SIGMA_PX), polarity=polarity)
         taken = Segments(
             *(np.concatenate([getattr(one, each.name) for one in (taken, sides)]) for each in fields(taken))
         )
@@ -84,17 +76,16 @@ def find_edges(
     sigmas = zip((stated.tilt_rad, stated.roll_rad), usual, strict=True)
     mount_sigma_rad = np.array([otherwise if sigma is None else sigma for sigma, otherwise in sigmas])
     plumb_sigma_rad = float(np.deg2rad(parameters.plumb_sigma_deg))
-    vertical, error = vertical_segments(
-        segments, camera, mount_sigma_rad, plumb_sigma_rad, parameters.gate_sigma, turn_sigma_rad
-    )
+    gate = parameters.gate_sigma
+    vertical, error = vertical_segments(segments, camera, mount_sigma_rad, plumb_sigma_rad, gate, turn_sigma_rad)
     kept, others = segments.take(vertical), segments.take(~vertical)
     if not kept.polarity.all():
         kept = replace(kept, polarity=polarity_of_profiles(profiles(taken.ends_px[vertical], grey, camera)))
-    edge = same_edge(kept, camera, error, parameters.gate_sigma)
+    edge = same_edge(kept, camera, error, gate)
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad, readout)
     np.minimum.at(edges.landmark_id, edge, code[vertical])
     is_long = edges.length_px >= parameters.min_length_px
-    is_sure = is_long & has_direction(edges, plumb_sigma_rad, parameters.gate_sigma)
+    is_sure = is_long & has_direction(edges, plumb_sigma_rad, gate)
     edges = edges.take(is_sure | (edges.landmark_id < -1))
     rejected = camera.ideal.image_from_pixels(others.ends_px)
     return replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
@@ -118,10 +109,7 @@ def _segments_of_lines(lines: Array, camera: Camera) -> Segments:
 
 
 def warm_up(camera: Camera, parameters: EdgeParameters) -> None:
-    """Compile all loops and make the tables of a camera, so that no image has to wait for it.
-
-    Loops are compiled by finding one edge that has a foot, tables made by finding none.
-    """
+    """Compile all loops by finding one edge that has a foot, and make the tables of a camera by finding none."""
     plain = Camera(320, 240, 300.0, 300.0, 159.5, 119.5, Mount(tilt_rad=0.35, height_m=1.0))
     pillar = np.full((plain.height, plain.width), 50, dtype=np.uint8)
     pillar[40:200, plain.width // 2 :] = 200
@@ -133,16 +121,13 @@ def grey_image(image: Image, camera: Camera) -> Image:
     """Return the grey image (H, W) of a grey or BGR one. Raises InputError when type or size is not as expected."""
     if not isinstance(image, np.ndarray):
         raise InputError(f"expected an array of 8-bit grey or BGR, found {type(image).__name__}", field="image")
-    size, expected = image.shape[:2], (camera.height, camera.width)
-    is_grey, is_colour = image.ndim == 2, image.ndim == 3 and image.shape[2] == 3
-    if image.dtype != np.uint8 or not (is_grey or is_colour):
+    if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
         raise InputError(f"expected 8-bit grey or BGR, found {image.dtype} {image.shape}", field="image")
-    if size != expected:
-        found = f"{size[1]}×{size[0]}"
+    if image.shape[:2] != (camera.height, camera.width):
+        found = f"{image.shape[1]}×{image.shape[0]}"
         raise InputError(f"expected {camera.width}×{camera.height} as the camera says, found {found}", field="image")
-    # Compiled loops are compiled anew for every kind of array.
-    grey = image if is_grey else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return np.require(grey, dtype=np.uint8, requirements=["C", "W"])
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.require(grey, dtype=np.uint8, requirements=["C", "W"])  # for other arrays loops are compiled anew
 
 
 # -- which segments are vertical edges, and which of those are one edge ----------------------------------------------
@@ -170,12 +155,12 @@ def vertical_segments(
     """Return (S,) which segments meet the nadir point within what noise allows, and the error of the stated mount.
 
     The stated tilt and roll, uncertain by `mount_sigma_rad` (2,), say which segments may be vertical. Those agree on a
-    better tilt and roll, and on how crooked edges are here, which then decide. Plumb: how far real edges are from
-    vertical. turn_sigma_rad: by how much segments (S,) may be turned besides.
+    better tilt and roll, and on how crooked edges are here, which then decide. turn_sigma_rad: by how much segments
+    (S,) may be turned besides.
     """
     miss = nadir_miss(segments, camera, plumb_sigma_rad, lens_sigma=LENS_SIGMA)
     miss = replace(miss, sigma=np.hypot(miss.sigma, turn_sigma_rad))
-    prior = MountError.prior(mount_sigma_rad)
+    prior = MountError(np.zeros(3), np.diag(np.append(mount_sigma_rad, 1.0) ** 2))
     e, tilt_rad = camera.ideal.upright_from_pixels(segments.ends_px)[..., 1], camera.mount.tilt_rad
     above_nadir = (np.cos(tilt_rad) + e * np.sin(tilt_rad)).min(axis=1) > _ABOVE_NADIR
     candidates = above_nadir & _is_met(miss, prior, gate_sigma)
@@ -201,27 +186,21 @@ def has_direction(edges: Edges, plumb_sigma_rad: float, gate_sigma: float) -> ND
 def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma: float) -> NDArray[np.int64]:
     """Return the edge (S,) that each vertical segment belongs to, numbered from 0.
 
-    Segments are of one edge when they have the same polarity and their bearings agree within noise. The gap between
-    them may be long, because something in front can hide a part of the edge. Segments side by side are two edges
-    unless they are too close to be distinguished. The most certain segment collects what agrees with it first, so that
-    uncertain ones cannot join two edges in a chain.
+    Segments are of one edge when they have the same polarity and their bearings agree within noise, however long the
+    gap: something in front may hide a part. Side by side they are two edges unless too close to be distinguished. The
+    most certain segment collects what agrees with it first, so that uncertain ones cannot join two edges in a chain.
     """
     ideal = camera.ideal
     bearing, per_px = ideal.bearings_of_segments(segments.support_px, 1.0)
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
     variance = (per_px * segments.across_sigma_px) ** 2
+    told_apart = np.stack([per_px * _RESOLVED_PX * np.sqrt(2.0), gate_sigma * per_px * segments.sigma_px], axis=-1)
+    extent = np.ascontiguousarray(ideal.upright_from_pixels(segments.ends_px)[..., 1])
+    # Sorting in the loop would take longer to compile than all of it.
+    order, bearing = np.argsort(variance, kind="stable"), bearing + per_mount @ mount.mean
     return compiled(same_edge_loop)(
-        bearing + per_mount @ mount.mean,
-        np.argsort(variance, kind="stable"),
-        per_mount,
-        mount.cov,
-        variance,
-        np.stack([per_px * _RESOLVED_PX * np.sqrt(2.0), gate_sigma * per_px * segments.sigma_px], axis=-1),
-        np.ascontiguousarray(ideal.upright_from_pixels(segments.ends_px)[..., 1]),
-        segments.polarity,
-        gate_sigma,
-        _BESIDE_SHARE,
+        bearing, order, per_mount, mount.cov, variance, told_apart, extent, segments.polarity, gate_sigma
     )
 
 
@@ -232,7 +211,6 @@ DARK_GREY = 64.0
 SATURATED_GREY = 250
 WASHED_OUT = 0.4
 """Fraction of saturated pixels from which on whole edges vanish in white."""
-_EVERY = 8  # pixel counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,10 +233,7 @@ class Light:
 
 def light_of(image: Image | bytes) -> Light:
     """Return how an image (H, W) or (H, W, 3), uint8, or as a file, is exposed, at an eighth of its size."""
-    if isinstance(image, bytes):
-        some = np.asarray(decode(image, cv2.IMREAD_REDUCED_GRAYSCALE_8))
-    else:
-        some = image[::_EVERY, ::_EVERY]
+    some = np.asarray(decode(image, cv2.IMREAD_REDUCED_GRAYSCALE_8)) if isinstance(image, bytes) else image[::8, ::8]
     return Light(float(np.percentile(some, 95)), float((some >= SATURATED_GREY).mean()))
 
 
@@ -275,11 +250,9 @@ def same_edge_loop(
     extent: Array,
     polarity: NDArray[np.int8],
     gate_sigma: float,
-    beside_share: float,
 ) -> NDArray[np.int64]:
-    """Return the edge (S,) of each segment, the most certain one gathering first: `same_edge`.
+    """Return the edge (S,) of each segment: `same_edge`. order: (S,) from the most certain segment to the least.
 
-    order: (S,) from the most certain segment to the least; sorting would take longer to compile than all of this.
     told_apart: (S, 2) least difference that can be told apart, and by scatter. extent: (S, 2) lowest and highest e.
     """
     count = len(bearing)
@@ -297,7 +270,7 @@ def same_edge_loop(
             allowed = gate_sigma * np.sqrt(variance[first] + variance[other] + by_mount)
             common = min(extent[first, 1], extent[other, 1]) - max(extent[first, 0], extent[other, 0])
             shorter = min(extent[first, 1] - extent[first, 0], extent[other, 1] - extent[other, 0])
-            if common > beside_share * shorter:
+            if common > _BESIDE_SHARE * shorter:
                 scatter = np.hypot(told_apart[first, 1], told_apart[other, 1])
                 allowed = min(allowed, max(told_apart[other, 0], scatter))
             if abs(bearing[other] - bearing[first]) <= allowed:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.edges.columns import ALONG, SCALE_PX, GradientField, Peaks, gradient_kernel
+from localiser.edges.columns import ALONG, KERNEL, SCALE_PX, GradientField, Peaks
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -51,17 +51,6 @@ class Groups:
         """Return the sum (G,) of values (K,) of each group."""
         return np.asarray(np.bincount(self.of, values, self.count), dtype=np.float64)
 
-    def lowest(self, values: Values, mask: NDArray[np.bool_] | None = None) -> Array:
-        """Return the lowest (G,) of the values (K,) of each group, of the masked ones only; inf for none."""
-        lowest = np.full(self.count, np.inf)
-        used = slice(None) if mask is None else mask
-        np.minimum.at(lowest, self.of[used], values[used].astype(np.float64))  # many times slower for integers
-        return lowest
-
-    def highest(self, values: Values, mask: NDArray[np.bool_] | None = None) -> Array:
-        """Return the highest (G,) of the values (K,) of each group, of the masked ones only; -inf for none."""
-        return -self.lowest(-values, mask)
-
     def line(self, x: Values, y: Array, weight: Array) -> LineFit:
         """Return the weighted least-squares line of each group through (x, y) (K,)."""
         return LineFit(*compiled(line_loop)(self.of, self.count, x.astype(np.float64), y, weight))
@@ -88,7 +77,7 @@ _ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)
 _WIDTH_ITERATIONS = 4
 _LEAST_WIDTH_PX = 0.5 * SCALE_PX
 
-_KERNEL = gradient_kernel(SCALE_PX) / np.linalg.norm(gradient_kernel(SCALE_PX))
+_KERNEL = KERNEL / np.linalg.norm(KERNEL)
 _FIRST, _SECOND = np.array([0.5, 0.0, -0.5]), np.array([-1.0, 2.0, -1.0])
 _WIDER = cv2.getGaussianKernel(15, np.sqrt(3.0) * SCALE_PX).ravel()
 _STEEPNESS_SIGMA = float(np.linalg.norm(np.convolve(_KERNEL, _FIRST)))
@@ -141,16 +130,18 @@ class Fitted:
     contrast: Array
 
 
-def rough_lines(peaks: Peaks, chain: NDArray[np.int64], rows: int) -> tuple[LineFit, Cells]:
+def rough_lines(peaks: Peaks, rows: int) -> tuple[LineFit, Cells]:
     """Return robust lines through the peaks of each chain that is long enough, and which of the blocks they cross."""
+    chain = peaks.chain
     groups = Groups(chain, int(chain.max(initial=-1)) + 1)
     weight = np.ones(len(chain))
     for _ in range(3):
         fit = groups.line(peaks.row, peaks.position, weight)
         weight = 1 / (1 + ((peaks.position - fit.at(chain, peaks.row)) / 0.5) ** 2)
-    first, last = groups.lowest(peaks.row).astype(np.int64), groups.highest(peaks.row).astype(np.int64)
-    polarity = np.zeros(groups.count, dtype=np.int8)
-    polarity[chain] = peaks.polarity
+    first, last = np.empty((2, groups.count), dtype=np.int64)
+    polarity = np.empty(groups.count, dtype=np.int8)
+    # Of several values the last one stays.
+    first[chain[::-1]], last[chain], polarity[chain] = peaks.row[::-1], peaks.row, peaks.polarity
     long = np.flatnonzero(last - first >= LEAST_BLOCKS - 1)
     first, last = first[long], last[long]
     top = np.maximum(first - _MARGIN_BLOCKS, 0)
@@ -188,35 +179,25 @@ def refined(fit: LineFit, cells: Cells, field: GradientField) -> Fitted:
         far = weight * residual**2 / np.maximum(_excess(weight * residual**2, robust, groups)[line], 1)
         inlier, robust = robust, cells.in_chain * np.clip(1 - far / _TUKEY**2, 0, None) ** 2
     width, width_sigma = _width(fit.slope, height, curvature, cells)
-    fit, shift = _of_both_scales(
-        _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups), _coarse_fit(fit, inlier, cells, field)
-    )
-    place = fit.at(line, cells.row)
-    # In which fraction of the line's blocks the lighter side is at the camera's maximum.
-    beside = np.rint(place + _BESIDE_PX * cells.polarity[line]).astype(np.int64).clip(0, field.grey.shape[1] - 1)
-    clipped = cells.mean((field.grey[cells.row, beside] > _WHITE_GREY).astype(np.float64))
-    return Fitted(
-        fit=fit,
-        height=height,
-        on_line=np.abs(residual) < 2,
-        width=width,
-        width_sigma=width_sigma,
-        shift=shift,
-        clipped=_CLIPPED_SIGMA_PX * clipped,
-        contrast=np.where(clipped < 0.5, _contrast(place, width, height, cells, field), np.inf),
-    )
-
-
-def _coarse_fit(fit: LineFit, inlier: Array, cells: Cells, field: GradientField) -> LineFit:
-    """Return the lines as they are seen at twice the scale."""
-    groups, column = cells.groups, fit.at(cells.groups.of, cells.row)
+    on_line, fine = np.abs(residual) < 2, _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups)
+    # The same lines as they are seen at twice the scale.
+    column = fit.at(line, cells.row)
     _, steepness, curvature = cells.sampled(field.coarse, column)
     curvature = _steady(curvature, _COARSE_CURVATURE_SIGMA, cells)
     target = column + (steepness / curvature).clip(-3, 3)
     weight = (curvature / _COARSE_STEEPNESS_SIGMA) ** 2
     coarse = groups.line(cells.row, target, weight * inlier)
-    residual = target - coarse.at(groups.of, cells.row)
-    return _with_scatter(coarse, np.sqrt(weight) * residual, inlier, groups)
+    residual = target - coarse.at(line, cells.row)
+    fit, shift = _of_both_scales(fine, _with_scatter(coarse, np.sqrt(weight) * residual, inlier, groups))
+    # In which fraction of the line's blocks the lighter side is at the camera's maximum.
+    place, last = fit.at(line, cells.row), field.grey.shape[1] - 1
+    beside = np.rint(place + _BESIDE_PX * cells.polarity[line]).astype(np.int64).clip(0, last)
+    clipped = cells.mean((field.grey[cells.row, beside] > _WHITE_GREY).astype(np.float64))
+    # Weber's contrast: more or less light leaves it as it is, also where it falls on a part of the image only.
+    step = np.sqrt(2 * np.pi) * np.maximum(cells.mean(height), 0) * width * field.noise_grey
+    grey = field.grey[cells.row, np.rint(place).astype(np.int64).clip(0, last)].astype(np.float64)
+    contrast = np.where(clipped < 0.5, step / np.maximum(cells.mean(grey), 1.0), np.inf)
+    return Fitted(fit, height, on_line, width, width_sigma, shift, _CLIPPED_SIGMA_PX * clipped, contrast)
 
 
 def _with_scatter(fit: LineFit, normalised: Array, inlier: Array, groups: Groups) -> LineFit:
@@ -226,7 +207,9 @@ def _with_scatter(fit: LineFit, normalised: Array, inlier: Array, groups: Groups
     residuals have in common.
     """
     excess = _excess(normalised**2, inlier, groups)
-    alike = _correlation(np.sqrt(inlier / excess[groups.of]) * normalised, groups.of)
+    used = np.sqrt(inlier / excess[groups.of]) * normalised
+    common = float((used[1:] * used[:-1])[groups.of[1:] == groups.of[:-1]].sum())
+    alike = float(np.clip(common / max(float((used**2).sum()), 1e-9), 0.0, 0.8))  # over all lines of the frame
     scatter = excess * (1 + alike) / (1 - alike)
     return fit._replace(weight=fit.weight / scatter, spread=fit.spread / scatter)
 
@@ -261,13 +244,6 @@ def _of_both_scales(fine: LineFit, coarse: LineFit) -> tuple[LineFit, Array]:
     return fit, np.hypot(np.sqrt(1 - share) * difference, sampling_px)
 
 
-def _correlation(normalised: Array, line: NDArray[np.int64]) -> float:
-    """Return the correlation of neighbouring blocks' residuals (K,), over all lines of the frame."""
-    neighbours = line[1:] == line[:-1]
-    common = float((normalised[1:] * normalised[:-1])[neighbours].sum())
-    return float(np.clip(common / max(float((normalised**2).sum()), 1e-9), 0.0, 0.8))
-
-
 def _width(slope: Array, height: Array, curvature: Array, cells: Cells) -> tuple[Array, Array]:
     """Return how wide (G,) the slope of each line is, in columns, and the sigma of that by noise.
 
@@ -282,17 +258,6 @@ def _width(slope: Array, height: Array, curvature: Array, cells: Cells) -> tuple
         width_squared = np.maximum(np.cbrt(squared**2 * width_squared) - leaning, _LEAST_WIDTH_PX**2)
     width = np.sqrt(width_squared)
     return width, width / 2 * _CURVATURE_SIGMA / (curved * np.sqrt(cells.blocks))
-
-
-def _contrast(place: Array, width: Array, height: Array, cells: Cells, field: GradientField) -> Array:
-    """Return by how much (G,) the two sides of each line differ, as a fraction of their mean (Weber's contrast).
-
-    place: (K,) column of the line at each of its blocks.
-    More or less light leaves it as it is, also where it falls on a part of the image only.
-    """
-    step = np.sqrt(2 * np.pi) * np.maximum(cells.mean(height), 0) * width * field.noise_grey
-    column = np.rint(place).astype(np.int64).clip(0, field.grey.shape[1] - 1)
-    return np.asarray(step / np.maximum(cells.mean(field.grey[cells.row, column].astype(np.float64)), 1.0))
 
 
 # -- loops, for numba to compile --------------------------------------------------------------------------------------

@@ -82,15 +82,14 @@ def polarity_of_profiles(profile: Array) -> NDArray[np.int8]:
 
 # -- a rolling shutter undone: edges as a camera that takes all rows at once would have found them ---------------------
 
-# While the rows of an image are taken one after another, the robot turns and drives. An edge at bearing b and floor
-# range r then moves by
+# While the rows of an image are taken one after another, the robot turns and drives with velocity (ahead, right). An
+# edge at bearing b and floor range r then moves by
 #
 #     db/dt = turn rate + (ahead · sin b - right · cos b) / r
 #
-# with the velocity (ahead, right) of the camera. So each point of it is turned about the vertical, by what the edge has
-# moved between the image's time stamp and the time of the point's row. At 1 rad/s and 30 ms from the first row to the
-# last, a vertical edge leans by 1.7° otherwise. Turning moves all edges alike. What driving does depends on the range,
-# which an edge's lower end tells if it stands on the floor; it cannot be farther away than that.
+# So each point of it is turned about the vertical, by what the edge has moved between the image's time stamp and the
+# time of the point's row. At 1 rad/s and 30 ms an image a vertical edge leans by 1.7° otherwise. The range is told by
+# an edge's lower end if it stands on the floor; it cannot be farther away than that.
 
 _INVERSE_RANGE_SIGMA = 0.3
 """1/m: lower ends need not stand on the floor."""
@@ -113,10 +112,7 @@ class Readout:
     turn_sigma_rad_s: float
 
     def rates(self, ends_px: Array) -> tuple[Array, Array]:
-        """Return d(bearing)/dt (S,) rad/s of segments with ends (S, 2, 2), undistorted, bottom first, and its sigma.
-
-        The sigma is that of the unknown range alone; an error of the turn rate is the same for all.
-        """
+        """Return d(bearing)/dt (S,) rad/s of segments (S, 2, 2), undistorted, bottom first, and its sigma by range."""
         rays = self.camera.ideal.level_rays(ends_px[:, 0])
         across, ahead = rays[:, 0], -rays[:, 2]
         bearing = np.arctan2(across, ahead)
@@ -128,13 +124,14 @@ class Readout:
 
     def at_stamp(self, taken_px: Array, rate: Array) -> Array:
         """Return where points (S, …, 2) that were taken would be at the time stamp, if they move at `rate` (S,)."""
-        return self._turned(taken_px, -_along(rate, taken_px) * self._since_stamp_s(taken_px))
+        rate = rate.reshape(-1, *[1] * (taken_px.ndim - 2))
+        return self._turned(taken_px, -rate * self._since_stamp_s(taken_px))
 
     def as_taken(self, stamp_px: Array, rate: Array) -> Array:
         """Return where points (S, …, 2) of the time stamp were taken; inverse of `at_stamp`."""
-        taken = stamp_px
+        taken, rate = stamp_px, rate.reshape(-1, *[1] * (stamp_px.ndim - 2))
         for _ in range(_ITERATIONS):
-            taken = self._turned(stamp_px, _along(rate, stamp_px) * self._since_stamp_s(taken))
+            taken = self._turned(stamp_px, rate * self._since_stamp_s(taken))
         return taken
 
     def per_turn(self, ends_px: Array, rate: Array) -> tuple[Array, Array]:
@@ -164,11 +161,6 @@ class Readout:
         return ideal.pixels_from_image(np.stack([right, up], axis=-1) / -backward[..., None])
 
 
-def _along(rate: Array, points: Array) -> Array:
-    """Return rates (S,) so that they multiply values of points (S, …, 2)."""
-    return rate.reshape(-1, *[1] * (points.ndim - 2))
-
-
 def readout_of(camera: Camera, twist: Twist | None) -> Readout | None:
     """Return how a camera moved while it took an image, by the twist of its robot; None where all rows are one time.
 
@@ -196,9 +188,9 @@ def edges_of_segments(
 ) -> Edges:
     """Return the edges (E) that segments (S) make up, where `edge` (S,) says which segment belongs to which.
 
-    Bearing and lean are least squares over the support points of an edge's segments: design equation 7 for any number
-    of points. The bearing's line is held through the nadir point, the lean's is free. mount_sigma_rad: (2,). readout:
-    by which segments were brought to the image's time stamp, None where all rows were taken then.
+    Bearing and lean are least squares over the support points of an edge's segments (design equation 7). The bearing's
+    line is held through the nadir point, the lean's is free. mount_sigma_rad: (2,). readout: by which segments were
+    brought to the image's time stamp, None where all rows were taken then.
     """
     if len(segments) == 0:
         return Edges.none()
@@ -258,7 +250,10 @@ def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[
     fit = points.line(support[..., 1].ravel(), support[..., 0].ravel(), np.repeat(weight, 2))
     lean = np.arctan(fit.slope)
     end_e = ideal.upright_from_pixels(segments.ends_px)[..., 1].ravel()
-    e = np.stack([points.lowest(end_e), points.highest(end_e)], axis=-1)
+    low, high = np.full(groups.count, np.inf), np.full(groups.count, -np.inf)
+    np.minimum.at(low, points.of, end_e)
+    np.maximum.at(high, points.of, end_e)
+    e = np.stack([low, high], axis=-1)
     a = fit.y[:, None] + fit.slope[:, None] * (e - fit.x[:, None])
     return lean, np.cos(lean) ** 2 / np.sqrt(fit.spread), np.stack([a, e], axis=-1), fit.x
 
@@ -266,8 +261,7 @@ def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[
 def common_error(bearing: Array, middle_e: Array, camera: Camera, mount_sigma_rad: Array) -> CommonError:
     """Return what an error of tilt and roll (2,) does to the bearings (E,) of a frame (design equation 8).
 
-    And what errors of the other values of the mount do, where their sigma is stated. How far edges stand off decides
-    what an offset does; it is taken as typical.
+    And what other errors of the mount do, where their sigma is stated; of an offset, at a typical range.
     """
     from_lean, from_line = camera.bearing_jacobians(bearing, middle_e)
     names, variances = ["tilt", "roll"], list(mount_sigma_rad**2)

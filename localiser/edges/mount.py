@@ -38,9 +38,8 @@ image's corner: lenses of one or two per cent are sold as free of it."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MountError:
-    """By how much tilt, roll and lens differ from what is stated: state (3,) with covariance (3, 3).
+    """By how much tilt, roll (rad) and lens (sigmas) differ from what is stated: state (3,) with covariance (3, 3).
 
-    The first two in rad, the last one in sigmas of what the lens may err by.
     crooked: how crooked edges are over what was stated of it, a factor of standard deviations.
     """
 
@@ -58,24 +57,14 @@ class MountError:
         """Their covariance (2, 2), rad²; that the lens is not quite known is part of it."""
         return self.state_cov[:2, :2]
 
-    @classmethod
-    def prior(cls, mount_sigma_rad: Array) -> MountError:
-        """Return what is known before any edge: tilt and roll within sigmas (2,) of what is stated."""
-        return cls(np.zeros(3), np.diag(with_lens(mount_sigma_rad) ** 2))
-
-
-def with_lens(mount_sigma_rad: Array) -> Array:
-    """Return prior sigmas (3,) of tilt, roll and lens, where those (2,) of tilt and roll are stated."""
-    return np.append(mount_sigma_rad, 1.0)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NadirMiss:
     """The angle between segments (S) and the lines from their middles to the nadir point.
 
-    angle: (S,) rad, positive when the upper end lies to the right. per_mount: (S, 3) its derivative by tilt, roll and
-    the lens error, 0 where the lens is taken as stated. sigma: (S,) error of the segments' own directions. crooked:
-    (S,) by how much the edges themselves are stated to be out of plumb, and not straight.
+    angle: (S,) rad, positive when the upper end lies to the right. per_mount: (S, 3) its derivative by `MountError`'s
+    state. sigma: (S,) error of the segments' own directions. crooked: (S,) by how much the edges themselves are stated
+    to be out of plumb, and not straight.
     """
 
     angle: Array
@@ -87,10 +76,6 @@ class NadirMiss:
         """Return the angle (S,) under the corrected mount, and its variance by what remains uncertain of that."""
         remaining = ((self.per_mount @ mount.state_cov) * self.per_mount).sum(axis=1)
         return self.angle + self.per_mount @ mount.state, remaining
-
-    def turned(self, mount_rad: Array) -> NadirMiss:
-        """Return the angles for a camera with this much more tilt and roll (2,)."""
-        return replace(self, angle=self.angle + self.per_mount[:, :2] @ mount_rad)
 
     def take(self, index: NDArray[np.bool_]) -> NadirMiss:
         """Return the angles of some segments."""
@@ -143,39 +128,28 @@ def _turn(direction: Array, by: Array) -> Array:
 def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = False) -> MountError:
     """Return the error of the stated tilt and roll that makes segments (S) point at the nadir point best.
 
-    Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll. Where the lens
-    may err, a radial distortion is estimated with them: it turns edges on both sides of the image, as a tilt does, and
-    the other way in its upper and its lower half. Without segments: the
-    prior. Least squares end at the nearest optimum, so where the prior is wider than a degree they begin at the
-    likeliest point of a grid. learn_crooked: find by expectation maximisation how crooked edges are, as a factor of
-    what is stated: walls that agree to hundredths of a degree tell the tilt as well as that, although none is stated
-    to be built so.
+    Robust least squares (Tukey's weights) with the prior N(0, prior_sigma²) for tilt and roll, which is returned where
+    there are no segments. Where the lens may err, a radial distortion is estimated with them: it turns edges on both
+    sides of the image, as a tilt does, and the other way in its upper and its lower half. Least squares end at the
+    nearest optimum, so where the prior is wider than a degree they begin at the likeliest point of a grid.
+    learn_crooked: find by expectation maximisation how crooked edges are, as a factor of what is stated: walls that
+    agree to hundredths of a degree tell the tilt as well as that, although none is stated to be built so.
     """
     if prior_sigma_rad.max() > NEAR_RAD and len(miss.angle):
         start, narrow = _likeliest(miss, prior_sigma_rad), np.minimum(prior_sigma_rad, NEAR_RAD)
-        near = fit_mount(miss.turned(start), narrow, learn_crooked=learn_crooked)
+        turned = replace(miss, angle=miss.angle + miss.per_mount[:, :2] @ start)
+        near = fit_mount(turned, narrow, learn_crooked=learn_crooked)
         # What the segments tell is `certain` without the narrow prior; the one that is stated takes its place.
-        certain, prior = np.linalg.inv(near.state_cov), np.diag(with_lens(prior_sigma_rad) ** -2.0)
-        cov = np.asarray(np.linalg.inv(certain - np.diag(with_lens(narrow) ** -2.0) + prior), dtype=np.float64)
+        certain, prior = np.linalg.inv(near.state_cov), np.diag(np.append(prior_sigma_rad, 1.0) ** -2.0)
+        cov = np.asarray(np.linalg.inv(certain - np.diag(np.append(narrow, 1.0) ** -2.0) + prior), dtype=np.float64)
         begun = np.append(start, 0.0)
         return replace(near, state=begun + cov @ (certain @ near.state - prior @ begun), state_cov=cov)
     variance, crooked_variance = miss.sigma**2, miss.crooked**2
     if not learn_crooked:
         variance, crooked_variance = variance + crooked_variance, np.zeros(len(variance))
-    prior_variance = np.maximum(with_lens(prior_sigma_rad), 1e-9) ** 2
-    tukey = (_TUKEY, _TUKEY_VARIANCE)
-    iterations = (_FIRST_ITERATIONS, _SCATTER_ITERATIONS if learn_crooked else 0)
-    state, cov, factor = compiled(mount_loop)(
-        miss.angle,
-        miss.per_mount,
-        variance,
-        crooked_variance,
-        prior_variance,
-        tukey,
-        _PRIOR_EDGES,
-        iterations,
-        _SETTLED,
-    )
+    prior_variance = np.maximum(np.append(prior_sigma_rad, 1.0), 1e-9) ** 2
+    arguments = miss.angle, miss.per_mount, variance, crooked_variance, prior_variance
+    state, cov, factor = compiled(mount_loop)(*arguments, _SCATTER_ITERATIONS if learn_crooked else 0)
     return MountError(state, cov, float(np.sqrt(factor)))
 
 
@@ -224,19 +198,15 @@ def mount_loop(
     variance: Array,
     crooked_variance: Array,
     prior_variance: Array,
-    tukey: tuple[float, float],
-    prior_edges: float,
-    iterations: tuple[int, int],
-    settled: float,
+    more_iterations: int,
 ) -> tuple[Array, Array, float]:
     """Return tilt, roll and lens (3,) with covariance (3, 3) that angles (S,) tell, and a factor on crooked_variance.
 
-    per_mount: (S, 3). prior_variance: (3,). tukey: where weights end, and the share of a Gaussian's variance that they
-    leave. iterations: with a factor of 1, and with one that is learnt, until it changes by less than the fraction
-    `settled`. See `fit_mount`.
+    per_mount: (S, 3). prior_variance: (3,). more_iterations: with a factor that is learnt, until it changes by less
+    than the fraction `_SETTLED`. See `fit_mount`.
     """
     state, cov, factor = np.zeros(3), np.diag(prior_variance), 1.0
-    for iteration in range(iterations[0] + iterations[1]):
+    for iteration in range(_FIRST_ITERATIONS + more_iterations):
         says = crooked = 0.0
         information, pull = np.diag(1 / prior_variance), np.zeros(3)
         for k in range(len(angle)):
@@ -248,7 +218,7 @@ def mount_loop(
                     remaining += cov[i, j] * by[i] * by[j]
             own = factor * crooked_variance[k]
             total = own + variance[k]
-            trust = max(1 - miss**2 / (tukey[0] ** 2 * (total + remaining)), 0.0) ** 2
+            trust = max(1 - miss**2 / (_TUKEY**2 * (total + remaining)), 0.0) ** 2
             weight = trust / total
             says += trust
             if own > 0:
@@ -266,8 +236,8 @@ def mount_loop(
         cov /= information[0, 0] * cov[0, 0] + information[0, 1] * cov[0, 1] + information[0, 2] * cov[0, 2]
         for i in range(3):
             state[i] = cov[i, 0] * pull[0] + cov[i, 1] * pull[1] + cov[i, 2] * pull[2]
-        if iteration >= iterations[0] - 1 and iteration < iterations[0] + iterations[1] - 1:
-            before, factor = factor, (prior_edges + crooked / tukey[1]) / (prior_edges + says)
-            if abs(factor - before) < settled * before:
+        if _FIRST_ITERATIONS - 1 <= iteration < _FIRST_ITERATIONS + more_iterations - 1:
+            before, factor = factor, (_PRIOR_EDGES + crooked / _TUKEY_VARIANCE) / (_PRIOR_EDGES + says)
+            if abs(factor - before) < _SETTLED * before:
                 break
     return state, cov, factor

@@ -9,8 +9,8 @@ from cameras import floor_points
 from edge_images import camera_of, wall_image
 
 from localiser.edges import EdgeParameters, find_edges
-from localiser.edges.column_detector import Columns
-from localiser.edges.columns import change_of, clutter, gradient_field, gradient_kernel, linked, peaks_of
+from localiser.edges.columns import KERNEL, change_of, clutter, gradient_field, peaks_of
+from localiser.edges.detectors import Columns
 from localiser.edges.lines import Groups
 from localiser.edges.views import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 
@@ -19,7 +19,7 @@ PARAMETERS = EdgeParameters(detector="columns")
 
 def test_the_gradient_of_a_ramp_is_its_slope():
     ramp = 3.0 * np.arange(40.0)
-    np.testing.assert_allclose(np.correlate(ramp, gradient_kernel(1.0), mode="valid"), 3.0, rtol=1e-6)
+    np.testing.assert_allclose(np.correlate(ramp, KERNEL, mode="valid"), 3.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize("tilt_deg", [-30.0, 0.0, 20.0, 60.0])
@@ -111,7 +111,7 @@ def test_noise_alone_has_no_edges():
 def test_noise_is_measured_in_the_image():
     camera = camera_of(tilt_deg=0.0)
     image = wall_image(camera, [-5.0, 5.0], [90.0, 150.0, 90.0], noise_sigma=6.0)
-    white = 6.0 * np.linalg.norm(gradient_kernel(1.0)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
+    white = 6.0 * np.linalg.norm(KERNEL) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
     np.testing.assert_allclose(gradient_field(image, camera).noise_grey, white, rtol=0.1)
 
 
@@ -119,11 +119,10 @@ def test_chains_follow_a_column_and_keep_neighbours_apart():
     camera = camera_of(tilt_deg=0.0)
     field = gradient_field(wall_image(camera, [0.0, 0.5], [60.0, 120.0, 180.0], noise_sigma=1.0), camera)
     peaks = peaks_of(field)
-    chain = linked(peaks, field.fine.shape)
-    sizes = np.bincount(chain)
+    sizes = np.bincount(peaks.chain)
     assert (sizes > 0.9 * field.fine.shape[0]).sum() == 2
     for index in np.flatnonzero(sizes > 0.9 * field.fine.shape[0]):
-        assert np.ptp(peaks.position[chain == index]) < 1.0
+        assert np.ptp(peaks.position[peaks.chain == index]) < 1.0
 
 
 @pytest.mark.parametrize("gap_px", [3.0, 4.0, 5.0, 6.0])
@@ -308,10 +307,3 @@ def test_lines_are_those_that_polyfit_finds_group_by_group():
         np.testing.assert_allclose(fit.weight[group], weight[own].sum())
         about_mean = x[own] - np.average(x[own], weights=weight[own])
         np.testing.assert_allclose(fit.spread[group], (weight[own] * about_mean**2).sum())
-
-
-def test_a_group_without_values_has_no_extremes():
-    groups = Groups(np.array([0, 0, 2]), 3)
-    values, mask = np.array([4.0, -1.0, 7.0]), np.array([True, True, False])
-    np.testing.assert_array_equal(groups.lowest(values), [-1.0, np.inf, 7.0])
-    np.testing.assert_array_equal(groups.highest(values, mask), [4.0, -np.inf, -np.inf])
