@@ -20,7 +20,14 @@ from localiser.geometry import UNKNOWN_TWIST, Array, Increment, compose
 from localiser.landmarks import LandmarkMap
 from localiser.live.timeline import Timeline
 from localiser.localiser import Localiser
-from localiser.observation import EarlierImage, EdgeObservation, ObservationParameters, Sighting
+from localiser.observation import (
+    EarlierFrame,
+    EdgeObservation,
+    ObservationParameters,
+    Sighting,
+    persistent_clutter,
+    scene_clutter,
+)
 from localiser.particles import POSE, Particles
 from localiser.simulate import world_of
 from localiser.storage import ImageEvent, Log, simulate_log
@@ -104,15 +111,15 @@ def test_edges_continue_those_of_an_image_under_another_mount() -> None:
     observation = EdgeObservation(USUAL, ObservationParameters())
     pose, move, few = np.zeros(3), np.array([0.0, -0.05, 0.05]), PLACES[[12]]
     turned = replace(USUAL.mount, tilt_rad=np.radians(22.0), roll_rad=MOVED.roll_rad, yaw_rad=MOVED.yaw_rad)
-    before = Sighting(0, seen(USUAL, turned, pose, few))
-    now = Sighting(1, seen(USUAL, None, compose(pose, move), few))
+    before = seen(USUAL, turned, pose, few)
+    now = observation.frame(seen(USUAL, None, compose(pose, move), few))
     increment = Increment(move, np.zeros((3, 3)), 0.05, 0.05)
 
-    def densities(earlier: Sighting) -> list[float]:
-        persistent = observation.persistent_clutter(now.edges, earlier, increment, 1e-4)
-        return [float(persistent.max()), *observation.scene_clutter(now, [EarlierImage(earlier, increment, 1e-4)])[0]]
+    def densities(edges: Edges) -> list[float]:
+        earlier = EarlierFrame.of(observation.frame(edges), now, increment, 1e-4)
+        return [float(persistent_clutter(now, earlier).max()), *scene_clutter(now, [earlier])[0]]
 
-    forgotten = replace(before, edges=replace(before.edges, mount=None))  # as if the camera had not been turned
+    forgotten = replace(before, mount=None)  # as if the camera had not been turned
     for right, wrong in zip(densities(before), densities(forgotten), strict=True):
         assert right > 2.0 * wrong
 

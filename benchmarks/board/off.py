@@ -64,10 +64,9 @@ MECHANISMS: dict[str, Patch] = {
     "visibility": _set("observation.place_landmarks:Visibility.after", _same),
     "wheels-check": _set("filter.mcl:_contradicted", lambda *_: None),
     "jump": _never_carried,
-    "persistent-clutter": _set("observation.edge_observation:EdgeObservation.persistent_clutter", lambda *_: None),
-    "scene-clutter": _set(
-        "observation.edge_observation:EdgeObservation.scene_clutter",
-        lambda self, sighting, *_: (np.ones(len(sighting.edges)), np.ones(len(sighting.edges))),
+    "persistent-clutter": _set("filter.mcl:persistent_clutter", lambda *_: None),
+    "scene-clutter": _all(
+        *(_set(f"filter.{one}:scene_clutter", lambda now, _: np.ones((2, len(now.edges)))) for one in ("mcl", "scene"))
     ),
     "polarity": _all(_set("observation.frame:MEAN_POLARITY", 0.0), _set("observation.association:MEAN_POLARITY", 0.0)),
     "history": _set("relocalisation.history:SCENES", 1),

@@ -37,7 +37,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel, MotionParameters, covariance_of
 from localiser.observation import (
     Association,
-    EarlierImage,
+    EarlierFrame,
     EdgeObservation,
     InlierRate,
     Matches,
@@ -46,6 +46,8 @@ from localiser.observation import (
     Sighting,
     end_offsets,
     novelty_of,
+    persistent_clutter,
+    scene_clutter,
 )
 from localiser.particles import POSE, Particles, log_sum, systematic_resample, thinned
 from localiser.relocalisation import GlobalLocalisation
@@ -283,9 +285,9 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
         scene, density, jump = scene.followed(mcl.edges, motion, sighting, increment)
         sighting = replace(sighting, scene=density)
         if seen is not None and novelty < 1.0:
-            turn_var = float(covariance_of(motion, increment)[2, 2])
-            persistent = mcl.edges.persistent_clutter(sighting.edges, seen, increment, turn_var)
-            sighting = replace(sighting, persistent=persistent)
+            now, turn_var = mcl.edges.frame(sighting.edges), float(covariance_of(motion, increment)[2, 2])
+            before = EarlierFrame.of(mcl.edges.frame(seen.edges), now, increment, turn_var)
+            sighting = replace(sighting, persistent=persistent_clutter(now, before, seen.clutter))
     if mcl.level is not None:
         edges, attitude = mcl.level.levelled(attitude, sighting.edges, increment.path_m, novelty)
         sighting = replace(sighting, edges=edges)
@@ -336,7 +338,7 @@ def _contradicted(
     if not len(sighting.edges) or not len(seen.edges) or state.particles is None:
         return None
     few, level = thinned(state.particles, FEW_TOLD), replace(image.sighting, persistent=None)
-    before, now = (replace(one, edges=one.edges.longest(MOST_EDGES)) for one in (seen, sighting))
+    before, now = (one.edges.longest(MOST_EDGES) for one in (seen, sighting))
 
     def by_map(motion: Increment) -> float:
         cloud = mcl.moved(few, [motion], rng)
@@ -344,11 +346,12 @@ def _contradicted(
         return float(log_sum(cloud.log_weight + fit) - log_sum(cloud.log_weight))
 
     def by_last_image(motion: Increment) -> float:
-        last = EarlierImage(before, motion, float(covariance_of(mcl.motion, motion)[2, 2]))
-        return float(np.log(observation.scene_clutter(now, [last])[0]).sum())
+        frame, turn_var = observation.frame(now), float(covariance_of(mcl.motion, motion)[2, 2])
+        last = EarlierFrame.of(observation.frame(before), frame, motion, turn_var)
+        return float(np.log(scene_clutter(frame, [last])[0]).sum())
 
     state.wheels, motion = state.wheels.after(
-        Evidence(odometer, before.edges, now.edges, by_map, by_last_image),
+        Evidence(odometer, before, now, by_map, by_last_image),
         increment,
         covariance_of(mcl.motion, increment),
         (by_map(increment), by_last_image(increment)),

@@ -18,7 +18,7 @@ import numpy as np
 
 from localiser.geometry import Array, Increment, between
 from localiser.motion import MotionModel, covariance_of
-from localiser.observation import EarlierImage, EdgeObservation, Sighting
+from localiser.observation import EarlierFrame, EdgeObservation, Sighting, scene_clutter
 
 SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)
 APART = 0.05  # scenes between the images that are kept, so that a robot that stands still keeps few
@@ -41,14 +41,6 @@ class SeenImage:
     def scenes_until(self, now: Increment) -> float:
         """Return how many scenes the robot has moved since; now: how it has moved from where the scene began."""
         return float((now.path_m - self.moved.path_m) / SCENE_M + (now.turned_rad - self.moved.turned_rad) / SCENE_RAD)
-
-    def before(self, now: Increment, motion: MotionModel) -> EarlierImage:
-        """Return it as an observation takes it."""
-        cov = np.zeros((3, 3))
-        cov[2, 2] = max(now.cov[2, 2] - self.moved.cov[2, 2], 0.0)  # of edges that tell the motion; turns add up
-        way = now.path_m - self.moved.path_m, now.turned_rad - self.moved.turned_rad
-        since = Increment(between(self.moved.mean, now.mean), cov, *way)
-        return EarlierImage(self.sighting, since, float(covariance_of(motion, since)[2, 2]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +86,21 @@ class Scene:
         back = sum(scenes >= 1.0 for scenes in away)  # how many are a scene back
         first = max(back - WITH_OLDER, 0)
         images, away = self.images[first:], away[first:]
-        earlier = [one.before(now, motion) for one in images[: max(back - first, 1)][::-1]]
-        density, _ = observation.scene_clutter(sighting, earlier)
+        frame = observation.frame(sighting.edges)
+
+        def before(image: SeenImage) -> EarlierFrame:
+            cov = np.zeros((3, 3))
+            cov[2, 2] = max(now.cov[2, 2] - image.moved.cov[2, 2], 0.0)  # of edges that tell the motion; turns add up
+            way = now.path_m - image.moved.path_m, now.turned_rad - image.moved.turned_rad
+            since = Increment(between(image.moved.mean, now.mean), cov, *way)
+            turn_var = float(covariance_of(motion, since)[2, 2])
+            return EarlierFrame.of(observation.frame(image.sighting.edges), frame, since, turn_var)
+
+        density, _ = scene_clutter(frame, [before(one) for one in images[: max(back - first, 1)][::-1]])
         if images:
             log_ratio = 0.0
             if len(sighting.edges):
-                _, continuing = observation.scene_clutter(sighting, [images[-1].before(now, motion)])
+                _, continuing = scene_clutter(frame, [before(images[-1])])
                 log_ratio, fraction = _log_carried(continuing, usual)
                 usual = MEMORY * usual + (1.0 - MEMORY) * fraction
             novelty = increment.path_m / SCENE_M + increment.turned_rad / SCENE_RAD

@@ -1,6 +1,7 @@
 """The observation: how well what was measured fits a pose, log p(sighting | particle)."""
 
 from localiser.observation.association import Association, end_offsets
+from localiser.observation.clutter import EarlierFrame, persistent_clutter, scene_clutter
 from localiser.observation.edge_observation import EdgeObservation, View
 from localiser.observation.frame import SIGMA_PX as ENDPOINT_SIGMA_PX
 from localiser.observation.frame import (
@@ -20,7 +21,6 @@ from localiser.observation.inlier_rate import (
 )
 from localiser.observation.place_landmarks import NearLandmarks, Visibility
 from localiser.observation.sighting import (
-    EarlierImage,
     Matches,
     Observation,
     ObservationParameters,

@@ -43,7 +43,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, between, compose, wrap_angle
+from localiser.geometry import Array, Increment, between, compose, wrap_angle
 from localiser.geometry.compiled import compiled
 from localiser.landmarks import field_of_view_rad, half_view_rad
 from localiser.observation.frame import ROW_PX, SIGMA_PX, Frame
@@ -67,6 +67,13 @@ class EarlierFrame:
     frame: Frame
     motion: Array
     turn_var: float
+
+    @classmethod
+    def of(cls, frame: Frame, now: Frame, since: Increment, turn_var: float) -> EarlierFrame:
+        """Return an earlier frame, since which the robot moved until the frame `now`, and the camera on it."""
+        mount, then = now.camera.robot_from_level, frame.camera.robot_from_level
+        right, back, _ = between(then, compose(since.mean, mount))
+        return cls(frame, np.array([right, back, since.mean[2] + (mount[2] - then[2])]), turn_var)
 
 
 # -- persistent clutter -----------------------------------------------------------------------------------------------

@@ -36,15 +36,14 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, Increment, between, compose
+from localiser.geometry import Array
 from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, in_view_of_cells, kept_with, reach_of
-from localiser.observation import clutter
 from localiser.observation.association import FEW, Association, camera_poses, expected_from
-from localiser.observation.clutter import EarlierFrame
+from localiser.observation.clutter import EarlierFrame, scene_clutter
 from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
-from localiser.observation.sighting import EarlierImage, ObservationParameters, Sighting
+from localiser.observation.sighting import ObservationParameters, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
 
 FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
@@ -215,7 +214,8 @@ class EdgeObservation:
         sighting = Sighting(0, Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01))
         one = Particles(POSE, np.zeros((3, 1)), angle)
         self.by_rate(one, sighting, LandmarkMap.from_points(np.array([[0.0, -3.0]])))
-        self.scene_clutter(sighting, [EarlierImage(sighting, Increment.from_mean(np.zeros(3)), 0.0)])
+        frame = self.frame(sighting.edges)
+        scene_clutter(frame, [EarlierFrame(frame, np.zeros(3), 0.0)])
 
     # -- association ------------------------------------------------------------------------------------------------
 
@@ -253,30 +253,6 @@ class EdgeObservation:
         )
         sigma = np.sqrt(np.nanmedian(variance) + np.median(np.sqrt(expected.variance)) ** 2)
         return float(np.sqrt(np.median(np.maximum(square - mean**2, 0.0)))), float(sigma)
-
-    # -- clutter ----------------------------------------------------------------------------------------------------
-
-    def persistent_clutter(self, edges: Edges, seen: Sighting, increment: Increment, turn_var: float) -> Array:
-        """Return how dense clutter is at each edge (E,), from the image before."""
-        frame = self.frame(edges)
-        return clutter.persistent_clutter(frame, self._earlier(frame, seen.edges, increment, turn_var), seen.clutter)
-
-    def scene_clutter(self, sighting: Sighting, earlier: Sequence[EarlierImage]) -> tuple[Array, Array]:
-        """Return how dense clutter is at each edge (E,), and how much likelier it is if it continues an earlier one.
-
-        earlier: images of the same scene, the one that is believed most first; the others tell of edges that it missed.
-        See `observation.clutter`.
-        """
-        frame = self.frame(sighting.edges)
-        images = [self._earlier(frame, one.sighting.edges, one.since, one.turn_var) for one in earlier]
-        return clutter.scene_clutter(frame, images)
-
-    def _earlier(self, now: Frame, edges: Edges, since: Increment, turn_var: float) -> EarlierFrame:
-        """Return the frame of an earlier image, and how the camera moved since, with the robot and on it."""
-        frame = self.frame(edges)
-        mount, then = now.camera.robot_from_level, frame.camera.robot_from_level
-        right, back, _ = between(then, compose(since.mean, mount))
-        return EarlierFrame(frame, np.array([right, back, since.mean[2] + (mount[2] - then[2])]), turn_var)
 
 
 @lru_cache(FRAMES)

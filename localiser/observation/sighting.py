@@ -44,15 +44,6 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EarlierImage:
-    """An earlier image, how the robot has moved since, and the variance of its turn (rad²)."""
-
-    sighting: Sighting
-    since: Increment
-    turn_var: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Targets:
     """Edges (K) with a certain landmark.
 

@@ -112,7 +112,8 @@ def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slop
     observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind, sight=sight))
     edges = Sighting(0, one_edge(np.radians(10.0)))
     step = Increment.from_mean([0.0, -0.1, 0.0])
-    again = replace(edges, persistent=observation.persistent_clutter(edges.edges, edges, step, 1e-6))
+    frame = observation.frame(edges.edges)
+    again = replace(edges, persistent=persistent_clutter(frame, EarlierFrame.of(frame, frame, step, 1e-6)))
     new, known = (np.diff(observation.log_likelihood(poses, each, landmark_map)) for each in (edges, again))
     assert 0.0 < known < 0.5 * new
 
@@ -122,12 +123,12 @@ def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slop
 def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tuple[float, float, float]) -> None:
     """Wherever it is on the robot: what stands ahead of it, twice as far as things may be near, is expected there."""
     camera = CAMERA.with_mount(right_m=mount[0], back_m=mount[1], yaw_rad=mount[2])
-    observation = EdgeObservation(camera, ObservationParameters())
     thing = map_from_robot(camera.robot_from_level, np.array([0.2, -2 * NEAR_M]))
     poses = [np.zeros(3), np.asarray(step)]
     seen = [robot_from_map(compose(pose, camera.robot_from_level), thing) for pose in poses]
     before, after = (one_edge(float(np.arctan2(x, -z))) for x, z in seen)
-    (clutter,) = observation.persistent_clutter(after, Sighting(0, before), Increment.from_mean(step), 0.0)
+    now = Frame(after, camera)
+    (clutter,) = persistent_clutter(now, EarlierFrame.of(Frame(before, camera), now, Increment.from_mean(step), 0.0))
     right, back = robot_from_map(camera.robot_from_level, compose(step, camera.robot_from_level)[:2])
     across = float(right + back * 0.1)  # at a bearing of 0.1
     sigma = np.sqrt(2 * SIGMA**2 + across**2 / 12)
