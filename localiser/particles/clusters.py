@@ -69,12 +69,14 @@ def find_clusters(
     total = float(np.sum(weight))
     if not np.isfinite(total) or total <= 0:
         raise ValueError(f"weights sum to {total}")
-    share = np.asarray(weight, dtype=np.float64) / total
+    share, poses = np.asarray(weight, dtype=np.float64) / total, np.asarray(poses, dtype=np.float64)
+    if (np.ptp(poses, axis=0) < [cell_m, cell_m, cell_rad]).all():  # no larger than a cell, as while a place is tracked
+        return _summarised(poses, share, np.zeros(len(poses), dtype=np.int64))
     cells, cell_of_pose, around = _cells(poses, cell_m, cell_rad)
     dense = _densest(np.asarray(np.bincount(cell_of_pose, share), dtype=np.float64), mass)
     part = np.full(len(cells), -1)
     part[dense] = _connected(cells[dense], around)
-    return _summarised(np.asarray(poses, dtype=np.float64), share, part[cell_of_pose])
+    return _summarised(poses, share, part[cell_of_pose])
 
 
 def cells_of(poses: Array, cell_m: float = CELL_M, cell_rad: float = CELL_RAD) -> Indices:
