@@ -117,20 +117,16 @@ class Localiser:
         self._camera, self._detector = camera, detector
         self._own = {"observation": observation, "motion": motion, "detector": detector}
         self.observation = observation or EdgeObservation(self.camera, config.observation)
+        self._is_known, search = config.observation.association == "known" and observation is None, None
+        if isinstance(self.observation, EdgeObservation) and not self._is_known:
+            search = GlobalLocalisation.of(self.observation, landmark_map, config.search)
         motion = motion or config.motion
-        self._mcl = Mcl(landmark_map, self.observation, config.mcl, motion, config.observation, search=self._search())
+        self._mcl = Mcl(landmark_map, self.observation, config.mcl, motion, config.observation, search=search)
         if camera is not None:
             level = Level(camera, math.radians(config.edges.plumb_sigma_deg))
             self._mcl = replace(self._mcl, odometer=Odometer(camera, config.increments), level=level)
         self._measured: dict[int, MeasuredImage] = {}
         self._finding, self.markers = Finding.on(landmark_map), Markers()
-
-    def _search(self) -> GlobalLocalisation | None:
-        """Return global localisation, None where the observation has no such ability."""
-        known = self.config.observation.association == "known" and self._own["observation"] is None
-        if known or not isinstance(self.observation, EdgeObservation):
-            return None
-        return GlobalLocalisation.of(self.observation, self.landmark_map, self.config.search)
 
     @property
     def camera(self) -> Camera:
@@ -240,7 +236,12 @@ class Localiser:
         """
         self._check(self._camera and self._camera.at(valid_mount(mount)), images=True)
         begin = perf_counter()
-        pixels = decoded_file(image, self.camera) if isinstance(image, bytes) else image
+        if isinstance(image, bytes):
+            size, name = (self.camera.width, self.camera.height), Path("image")
+            check_whole(image, size, path=name)
+            pixels = decoded(image, size, path=name)
+        else:
+            pixels = image
         loaded = perf_counter()
         edges = find_edges(pixels, self.camera, self.config.edges, mount=mount, twist=twist, detector=self._detector)
         found = perf_counter()
@@ -265,7 +266,10 @@ class Localiser:
         has_ends, started = bool(np.isfinite(found.ends_px).all()), self.state.is_begun
         camera = self._camera and self._camera.at(valid_mount(found.mount))
         self._check(camera, images=measured.image is not None or of_image, has_ends=has_ends, has_start=started)
-        self._require_known(found)
+        most, landmarks = int(found.landmark_id.max(initial=-1)), len(self.landmark_map)
+        if self._is_known and most >= landmarks:
+            problem = f"expected at most {landmarks - 1}, the map's last landmark, found {most}"
+            raise InputError(problem, field="landmark_id")
         self._require_ready(t_ns, "image")
         self._measured[t_ns] = measured
         mcl = self._mcl
@@ -363,26 +367,15 @@ class Localiser:
         if not self.state.is_begun and self._mcl.search is None:
             raise InputError("expected a start before the first measurement: it cannot be found on the whole map")
         self._begin(t_ns)
-        self._require_in_order(t_ns, name)
-
-    def _begin(self, t_ns: int) -> None:
-        if self.state.at_ns == _AT_NEXT:
-            self.state.at_ns = t_ns
-
-    def _require_in_order(self, t_ns: int, name: str) -> None:
         state = self.state
         if (state.waiting and t_ns <= state.waiting[-1].t_ns) or (state.weighed and t_ns <= state.at_ns):
             raise InputError(f"expected a later time than that of the last {name}, found {t_ns} ns", field=name)
         if state.is_begun and t_ns < state.at_ns:
             raise InputError(f"expected a time after the start at {state.at_ns} ns, found {t_ns} ns", field=name)
 
-    def _require_known(self, edges: Edges) -> None:
-        """Raise InputError for edges that are believed to belong to landmarks which the map does not have."""
-        known = self.config.observation.association == "known" and self._own["observation"] is None
-        most, landmarks = int(edges.landmark_id.max(initial=-1)), len(self.landmark_map)
-        if known and most >= landmarks:
-            problem = f"expected at most {landmarks - 1}, the map's last landmark, found {most}"
-            raise InputError(problem, field="landmark_id")
+    def _begin(self, t_ns: int) -> None:
+        if self.state.at_ns == _AT_NEXT:
+            self.state.at_ns = t_ns
 
 
 # -- settings that cannot work ----------------------------------------------------------------------------------------
@@ -454,13 +447,6 @@ def valid_mount(mount: Mount | None) -> Mount | None:
     if mount.height_m <= 0:
         raise InputError(f"expected a height above 0, found {mount.height_m!r}", field="mount.height_m")
     return mount
-
-
-def decoded_file(data: bytes, camera: Camera) -> NDArray[np.uint8]:
-    """Return a JPEG or PNG file as grey values (H, W). Raises InputError."""
-    size, name = (camera.width, camera.height), Path("image")
-    check_whole(data, size, path=name)
-    return decoded(data, size, path=name)
 
 
 def _in_frame_of_its_map(frame: LocatedFrame, landmark_map: LandmarkMap) -> LocatedFrame:
