@@ -21,23 +21,22 @@ class Quality:
     """How well landmarks (L) are known, besides their covariance; nan where something is not known.
 
     sightings: (L,) images that showed it. parallax_rad: (L,) widest angle between the directions it was seen from.
-    existence: (L,) probability that it is there. profile: (L, P) grey values across it, P may be 0.
+    existence: (L,) probability that it is there.
     """
 
     sightings: Array
     parallax_rad: Array
     existence: Array
-    profile: Array
 
     @classmethod
     def unknown(cls, count: int) -> Quality:
         """Return the quality of `count` landmarks of which nothing is known."""
         nothing = np.full(count, np.nan)
-        return cls(nothing, nothing, nothing, np.zeros((count, 0)))
+        return cls(nothing, nothing, nothing)
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Quality:
         """Return the quality of the landmarks at `index`."""
-        return Quality(self.sightings[index], self.parallax_rad[index], self.existence[index], self.profile[index])
+        return Quality(self.sightings[index], self.parallax_rad[index], self.existence[index])
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)

@@ -157,7 +157,7 @@ def _far(pose: Array, other: Array) -> bool:
 Mask = NDArray[np.bool_]
 
 _PLAIN = ("points", "cov", "bottom_m", "top_m", "polarity")
-_QUALITY = ("sightings", "parallax_rad", "existence", "profile")
+_QUALITY = ("sightings", "parallax_rad", "existence")
 _CHI2_99 = 9.21  # squared Mahalanobis distance that holds 99 % of a Gaussian in the plane
 TWICE_M = 0.02
 """Landmarks nearer to each other are one to any camera here."""
@@ -177,8 +177,7 @@ def join_maps(first: LandmarkMap, second: LandmarkMap) -> LandmarkMap:
     extra = (*(first.extra or ({},) * len(first)), *(second.extra or ({},) * len(second)))
     both = (first, second)
     columns: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in both]) for name in _PLAIN}
-    width = max(one.quality.profile.shape[1] if one.quality else 0 for one in both)
-    known = [_quality_of(one, width) for one in both]
+    known = [one.quality or Quality.unknown(len(one)) for one in both]
     quality = Quality(*(np.concatenate([getattr(one, name) for one in known]) for name in _QUALITY))
     columns["quality"] = None if first.quality is None and second.quality is None else quality
     return replace(first, ids=(*first.ids, *ids), source=(*first.source, *second.source), extra=extra, **columns)
@@ -203,19 +202,12 @@ def fuse_maps(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64])
     columns: dict[str, Any] = {name: newer(name, whole, seen) for name in _PLAIN}
     columns["points"][one], columns["cov"][one] = fuse_places(first.points[one], first.cov[one], seen.points, seen.cov)
     if whole.quality is not None:
-        now = _quality_of(seen, whole.quality.profile.shape[1])
+        now = seen.quality or Quality.unknown(len(seen))
         columns["quality"] = Quality(*(newer(name, whole.quality, now) for name in _QUALITY))
     source = list(whole.source)
     for index, name in zip(one, seen.source, strict=True):
         source[index] = f"{source[index]}; {name}".strip("; ")
     return replace(whole, source=tuple(source), **columns)
-
-
-def _quality_of(one: LandmarkMap, width: int) -> Quality:
-    """Return how well landmarks (L) are known, with profiles (L, width); those of another width are not known."""
-    quality = one.quality or Quality.unknown(len(one))
-    fits = quality.profile.shape[1] == width
-    return quality if fits else replace(quality, profile=np.full((len(one), width), np.nan))
 
 
 def fuse_places(first: Array, cov: Array, second: Array, other_cov: Array) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.geometry import Array, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality, SightParameters, sight
-from localiser.mapping.landmarks import Built, inverse_information, medians, normal_matrix
+from localiser.mapping.landmarks import Built, inverse_information, normal_matrix
 from localiser.mapping.sightings import Index, Sightings, direction_of, per_point
 from localiser.mapping.tracks import MappingParameters
 
@@ -198,8 +198,7 @@ def landmark_map_of(
     if probability is None:
         probability = existence(sightings, built, heights, cameras, sigma, camera, parameters)
     whole = LandmarkMap.from_points(built.fit.points, name=name, bottom_m=heights[0], top_m=heights[1], source=source)
-    profile = medians(built.of[built.used], len(built), sightings.profile[built.used])
-    quality = Quality(built.count.astype(np.float64), built.parallax, probability, profile)
+    quality = Quality(built.count.astype(np.float64), built.parallax, probability)
     cov = built.cov + place_cov(sightings, built, cameras, sigma, parameters.place_sigma_m)
     whole = replace(whole, cov=cov, polarity=built.polarity, quality=quality)
     # Worth keeping is what was seen often enough, from far enough apart, and is likely to be there.

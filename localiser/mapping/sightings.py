@@ -26,7 +26,7 @@ class Sightings:
     polarity: (S,). side: (S, 2) grey values left and right of the edge, nan where unknown.
     slope_up: (S, 2) height above the camera of the lower and the upper end per metre ahead. cut: (S, 2) whether
     that end lies at the image's border, so that the edge may go on. foot_m: (S,) range of the foot if it stands on the
-    floor, nan where no foot is seen. profile: (S, P). marker: (S,) side of a marker, see `markers`, -1 for none.
+    floor, nan where no foot is seen. marker: (S,) side of a marker, see `markers`, -1 for none.
     mounts: (T,) of the camera at each frame, None: as the camera says; empty where it always is so.
     """
 
@@ -39,7 +39,6 @@ class Sightings:
     slope_up: Array
     cut: NDArray[np.bool_]
     foot_m: Array
-    profile: Array
     marker: Index
     mounts: tuple[Mount | None, ...] = ()
 
@@ -68,12 +67,6 @@ class Sightings:
                 by_turn = common.bearing_from_line[:, common.names.index(TURN_RATE)]
                 own = np.hypot(own, by_turn * common.sigma_of(TURN_RATE))
             sigma.append(own)
-        profile = _profiles([edges.profile for edges in frames if len(edges)])
-        side, middle = np.full((len(profile), 2), np.nan), profile.shape[1] // 2
-        if profile.shape[1] >= 2 * _SIDE:
-            # The samples next to the edge hold its blur, the outermost ones perhaps the next edge.
-            side[:, 0] = np.median(profile[:, middle - _SIDE : middle], axis=1)
-            side[:, 1] = np.median(profile[:, middle + 1 : middle + 1 + _SIDE], axis=1)
         ends_px = column("ends_px", (2, 2))
         # Edges that were not measured in an image may know their ends, and not what follows from them.
         slope_up, cut, foot_m = _by_mount(ends_px, frames, camera)
@@ -83,11 +76,10 @@ class Sightings:
             bearing=column("bearing"),
             sigma=np.concatenate(sigma),
             polarity=column("polarity").astype(np.int8),
-            side=side,
+            side=np.concatenate([np.zeros((0, 2)), *(_sides(edges.profile) for edges in frames)]),
             slope_up=slope_up,
             cut=cut,
             foot_m=foot_m,
-            profile=profile,
             marker=np.minimum(column("landmark_id").astype(np.int64), -1),
             mounts=_mounts(frames),
         )
@@ -102,14 +94,13 @@ class Sightings:
         columns: dict[str, Any] = {
             f.name: np.concatenate([getattr(part, f.name) for part in parts])
             for f in fields(cls)
-            if f.name not in ("first", "frame", "profile", "mounts")
+            if f.name not in ("first", "frame", "mounts")
         }
         frames = np.concatenate([[0], np.cumsum([part.frames for part in parts])])
         sizes = np.concatenate([np.diff(part.first) for part in parts])
         return cls(
             first=np.concatenate([[0], np.cumsum(sizes)]),
             frame=np.concatenate([part.frame + begin for part, begin in zip(parts, frames[:-1], strict=True)]),
-            profile=_profiles([part.profile for part in parts]),
             mounts=tuple(mount for part in mounts for mount in part),
             **columns,
         )
@@ -135,11 +126,14 @@ def _mounts(frames: Sequence[Edges]) -> tuple[Mount | None, ...]:
     return () if all(mount is None for mount in mounts) else mounts
 
 
-def _profiles(parts: Sequence[Array]) -> Array:
-    """Return profiles (S, P) one after the other; nan for parts that know none."""
-    width = max((part.shape[1] for part in parts), default=0)
-    padded = [part if part.shape[1] == width else np.full((len(part), width), np.nan) for part in parts]
-    return np.concatenate(padded) if padded else np.zeros((0, width))
+def _sides(profile: Array) -> Array:
+    """Return the grey values (E, 2) left and right of edges with profiles (E, P); nan where they are too short."""
+    middle = profile.shape[1] // 2
+    if profile.shape[1] < 2 * _SIDE:
+        return np.full((len(profile), 2), np.nan)
+    # The samples next to the edge hold its blur, the outermost ones perhaps the next edge.
+    sides = profile[:, middle - _SIDE : middle], profile[:, middle + 1 : middle + 1 + _SIDE]
+    return np.column_stack([np.median(side, axis=1) for side in sides])
 
 
 def _by_mount(ends_px: Array, frames: Sequence[Edges], camera: Camera) -> tuple[Array, NDArray[np.bool_], Array]:

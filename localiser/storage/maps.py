@@ -68,7 +68,6 @@ class LandmarkFile(BaseModel):
     sightings: Annotated[int, Field(ge=0)] | None = None
     parallax_deg: Annotated[float, Field(ge=0, le=360)] = math.nan
     existence: Annotated[float, Field(ge=0, le=1)] = math.nan
-    profile: Annotated[list[Annotated[float, Field(ge=0, le=255)]], Field(max_length=101)] = Field(default_factory=list)
 
 
 class PoseFile(BaseModel):
@@ -198,13 +197,10 @@ def _column(landmarks: list[LandmarkFile], name: str) -> Array:
 
 def _quality(landmarks: list[LandmarkFile]) -> Quality | None:
     """Return what the landmarks say of their quality, None where none says anything."""
-    width = max(len(landmark.profile) for landmark in landmarks)
-    unknown = [math.nan] * width
-    profiles = [mark.profile if len(mark.profile) == width else unknown for mark in landmarks]
     sightings, existence = _column(landmarks, "sightings"), _column(landmarks, "existence")
-    parallax_rad, profile = np.deg2rad(_column(landmarks, "parallax_deg")), np.array(profiles, dtype=np.float64)
-    known = any(np.isfinite(column).any() for column in (sightings, existence, parallax_rad, profile))
-    return Quality(sightings, parallax_rad, existence, profile) if known else None
+    quality = Quality(sightings, np.deg2rad(_column(landmarks, "parallax_deg")), existence)
+    known = any(np.isfinite(column).any() for column in (sightings, existence, quality.parallax_rad))
+    return quality if known else None
 
 
 def _check_frame(document: Document, frame: dict[str, Any]) -> None:
@@ -277,11 +273,10 @@ def _landmark_data(landmark_map: LandmarkMap, index: int) -> dict[str, Any]:
         "source": landmark_map.source[index] or None,
     }
     if (quality := landmark_map.quality) is not None:
-        count, profile = _known(quality.sightings[index]), quality.profile[index]
+        count = _known(quality.sightings[index])
         data["sightings"] = None if count is None else int(count)
         data["parallax_deg"] = _known(round(math.degrees(quality.parallax_rad[index]), 6))
         data["existence"] = _known(round(float(quality.existence[index]), 6))
-        data["profile"] = [round(float(grey), 1) for grey in profile if np.isfinite(profile).all()] or None
     known = {key: value for key, value in data.items() if value is not None}
     return known | (landmark_map.extra[index] if landmark_map.extra else {})
 

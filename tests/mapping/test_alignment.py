@@ -70,7 +70,7 @@ def known(points: list[list[float]], sigma: float, ids: tuple[int | str, ...], *
 
 def test_fusing_weighs_by_covariance_and_keeps_what_is_alone() -> None:
     plan = known([[0.0, 0.0], [5.0, 0.0]], 0.03, (0, 1), bottom_m=np.zeros(2))
-    quality = Quality(np.array([9.0, 8.0]), np.array([0.5, 0.4]), np.array([0.9, 0.8]), np.ones((2, 5)))
+    quality = Quality(np.array([9.0, 8.0]), np.array([0.5, 0.4]), np.array([0.9, 0.8]))
     built = known([[0.04, 0.0], [9.0, 1.0]], 0.01, (0, "b"), polarity=np.array([1, -1], dtype=np.int8), quality=quality)
     pairs = matches(plan.points, built.points, 0.15)
     assert pairs.tolist() == [[0, 0]]
@@ -82,7 +82,6 @@ def test_fusing_weighs_by_covariance_and_keeps_what_is_alone() -> None:
     assert whole.bottom_m[0] == 0.0
     assert whole.source[0] == "a log; a log"
     assert whole.quality.sightings == pytest.approx([9.0, np.nan, 8.0], nan_ok=True)
-    assert whole.quality.profile[0] == pytest.approx(np.ones(5))
 
 
 def test_an_unknown_covariance_lets_the_other_place_count() -> None:
@@ -118,7 +117,7 @@ def five() -> LandmarkMap:
     points = np.array([[1.0, 2.0], [1.01, 2.0], [1.005, 2.01], [1.5, 2.0], [1.5, 2.01]])
     plain = LandmarkMap.from_points(points, bottom_m=np.array([0.0, 0.5, 0.0, 0.0, 0.0]), top_m=np.full(5, 2.0))
     sightings = np.array([5.0, 20.0, 10.0, 5.0, 5.0])
-    quality = Quality(sightings, np.full(5, 0.3), np.full(5, 0.99), np.zeros((5, 0)))
+    quality = Quality(sightings, np.full(5, 0.3), np.full(5, 0.99))
     cov = np.tile(1e-4 * np.eye(2), (5, 1, 1))
     return replace(plain, cov=cov, quality=quality, polarity=np.array([1, 1, 0, 1, -1], dtype=np.int8))
 
@@ -170,16 +169,11 @@ def test_a_landmark_whose_sigma_is_larger_than_any_distance_to_it_has_no_place()
 
 def test_quality_of_landmarks_comes_back(tmp_path: Path) -> None:
     plain = LandmarkMap.from_points(np.array([[0.0, 1.0], [2.0, 3.0]]), name="built")
-    quality = Quality(
-        np.array([12.0, np.nan]),
-        np.deg2rad([23.5, 7.25]),
-        np.array([0.97, np.nan]),
-        np.array([[10.0, 200.5, 90.0], [np.nan] * 3]),
-    )
+    quality = Quality(np.array([12.0, np.nan]), np.deg2rad([23.5, 7.25]), np.array([0.97, np.nan]))
     write_map(replace(plain, quality=quality), tmp_path / "map.yaml")
     found = read_map(tmp_path / "map.yaml").quality
     assert found is not None
-    for name in ("sightings", "parallax_rad", "existence", "profile"):
+    for name in ("sightings", "parallax_rad", "existence"):
         np.testing.assert_allclose(getattr(found, name), getattr(quality, name), atol=1e-6)
     write_map(plain, tmp_path / "plain.yaml")
     assert read_map(tmp_path / "plain.yaml").quality is None

@@ -40,7 +40,7 @@ def test_two_logs_together_are_as_one() -> None:
     whole = Sightings.from_edges(frames, CAMERA)
     parts = [Sightings.from_edges(frames[:15], CAMERA), Sightings.from_edges(frames[15:], CAMERA)]
     together = Sightings.together(parts, [CAMERA, CAMERA])
-    for name in ("first", "frame", "bearing", "polarity", "side", "profile"):
+    for name in ("first", "frame", "bearing", "polarity", "side"):
         np.testing.assert_array_equal(getattr(together, name), getattr(whole, name))
     assert together.mounts == (CAMERA.mount,) * 40
 

@@ -95,7 +95,7 @@ def made(tmp_path: Path) -> Path:
     """A map of 30 landmarks that are known to 2 cm."""
     plain = LandmarkMap.from_points(points(), name="hall", source="a log")
     unknown = np.full(30, np.nan)
-    quality = Quality(np.full(30, 9.0), unknown, np.full(30, 0.9), np.zeros((30, 0)))
+    quality = Quality(np.full(30, 9.0), unknown, np.full(30, 0.9))
     path = tmp_path / "hall.yaml"
     write_map(
         replace(plain, cov=np.tile(4e-4 * np.eye(2), (30, 1, 1)), quality=quality, header={"surveyor": "Ada"}), path
