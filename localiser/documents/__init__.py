@@ -3,7 +3,21 @@
 And how any file is read, of bounded size, and written, whole or not at all.
 """
 
-from localiser.documents.document import Document, Place, dump, field_name, is_name, load, parse, plain_name, shown
+from localiser.documents.document import (
+    Document,
+    Place,
+    Schema,
+    dump,
+    field_name,
+    is_name,
+    load,
+    nearest,
+    parse,
+    plain_name,
+    read_model,
+    shown,
+    validate,
+)
 from localiser.documents.files import (
     MAX_DOCUMENT_BYTES,
     draft_beside,
@@ -19,4 +33,3 @@ from localiser.documents.files import (
     write_bytes,
     write_text,
 )
-from localiser.documents.models import Schema, nearest, read_model, validate

@@ -1,20 +1,23 @@
-"""A document: plain data in which every value knows where it was written; how YAML text is parsed into it."""
+"""A document: plain data in which every value knows where it was written; parsed from YAML, validated as a model."""
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from localiser.documents.files import read_text
 from localiser.errors import InputError, one_paragraph
 
 Key = tuple[str | int, ...]
+Model = TypeVar("Model")
 LONGEST_NAME = 200
 _NO_MARKS = str.maketrans("<>|`", "____")
 
@@ -22,20 +25,19 @@ _MAX_DEPTH = 40
 MOST_VALUES = 1_500_000  # each takes some 600 bytes of memory while a document is read
 _MAX_DIGITS = 100
 _LARGEST = 2**63
-_NUMBERS = {"tag:yaml.org,2002:float", "tag:yaml.org,2002:int"}
-FLOAT_TAG = "tag:yaml.org,2002:float"
+_NUMBERS = _FLOAT, _ = "tag:yaml.org,2002:float", "tag:yaml.org,2002:int"
 _EXPONENT = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
 
 
-def with_exponents(base: type[Any]) -> type[Any]:
+def _with_exponents(base: type[Any]) -> type[Any]:
     """Return a loader or dumper to which 1e-3 is a number; YAML 1.1 takes it for a text for want of a point."""
     made = type(base.__name__, (base,), {})
-    made.add_implicit_resolver(FLOAT_TAG, _EXPONENT, list("-+.0123456789"))  # type: ignore[attr-defined]
+    made.add_implicit_resolver(_FLOAT, _EXPONENT, list("-+.0123456789"))  # type: ignore[attr-defined]
     return made
 
 
-_Dumper = with_exponents(getattr(yaml, "CSafeDumper", yaml.SafeDumper))
-_Loader = with_exponents(getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+_Dumper = _with_exponents(getattr(yaml, "CSafeDumper", yaml.SafeDumper))
+_Loader = _with_exponents(getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,13 +133,18 @@ def dump(value: Any) -> str:
 
     Of a text, what UTF-8 cannot tell is written as its escape.
     """
-    return _dumped(_encodable(value))
-
-
-def _dumped(value: Any) -> str:
+    value = _encodable(value)
     if isinstance(value, dict) and value:
-        return "".join(_dump({key: part}, isinstance(part, (dict, list))) for key, part in value.items())
-    return _dump(value, True)
+        return "".join(_dumped({key: part}, isinstance(part, (dict, list))) for key, part in value.items())
+    return _dumped(value, True)
+
+
+def _dumped(value: Any, compact: bool) -> str:
+    flow = None if compact else False
+    text: str = yaml.dump(
+        value, None, _Dumper, sort_keys=False, default_flow_style=flow, allow_unicode=True, width=2**31 - 1
+    )
+    return text
 
 
 def plain_name(name: str) -> str:
@@ -160,18 +167,6 @@ def _encodable(value: Any) -> Any:
     if isinstance(value, dict):
         return {_encodable(key): _encodable(part) for key, part in value.items()}
     return [_encodable(part) for part in value] if isinstance(value, (list, tuple)) else value
-
-
-def _dump(value: Any, compact: bool) -> str:
-    text: str = yaml.dump(
-        value,
-        Dumper=_Dumper,
-        sort_keys=False,
-        default_flow_style=None if compact else False,
-        allow_unicode=True,
-        width=2**31 - 1,
-    )
-    return text
 
 
 # -- parsing -----------------------------------------------------------------------------------------------------------
@@ -230,9 +225,12 @@ class _Parser:
             raise self._place(event).error((), f"expected at most {MOST_VALUES} values, found more")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(key)
-        if isinstance(event, yaml.SequenceStartEvent):
-            return self._sequence(key)
-        return self._scalar(key, event)
+        if not isinstance(event, yaml.SequenceStartEvent):
+            return self._scalar(key, event)
+        parts: list[Any] = []
+        while not isinstance(event := self._loader.get_event(), yaml.SequenceEndEvent):
+            parts.append(self._value((*key, len(parts)), event))
+        return parts
 
     def _mapping(self, key: Key) -> dict[Any, Any]:
         mapping: dict[Any, Any] = {}
@@ -240,23 +238,14 @@ class _Parser:
             if not isinstance(event, yaml.ScalarEvent):
                 raise self._place(event).error(key, "expected a name as key, found a list or a mapping")
             name = self._scalar(key, event)
-            if isinstance(name, (int, float)) and not isinstance(
-                name, bool
-            ):  # which can be chosen so that they collide
-                raise self._place(event).error(
-                    key, f"expected a name as key, found {event.value!r}, which needs quotes"
-                )
+            if type(name) in (int, float):  # which can be chosen so that they collide
+                problem = f"expected a name as key, found {event.value!r}, which needs quotes"
+                raise self._place(event).error(key, problem)
             if name in mapping:
                 raise self._place(event).error((*key, name), "given twice")
             self._places[(*key, name)] = self._place(event)
             mapping[name] = self._value((*key, name), self._loader.get_event())
         return mapping
-
-    def _sequence(self, key: Key) -> list[Any]:
-        items: list[Any] = []
-        while not isinstance(event := self._loader.get_event(), yaml.SequenceEndEvent):
-            items.append(self._value((*key, len(items)), event))
-        return items
 
     def _scalar(self, key: Key, event: Any) -> Any:
         tag = self._loader.resolve(yaml.ScalarNode, event.value, event.implicit)
@@ -272,3 +261,116 @@ class _Parser:
 
     def _place(self, event: Any) -> Place:
         return Place(self._source, event.start_mark.line + 1, event.start_mark.column + 1)
+
+
+# -- as a typed model -------------------------------------------------------------------------------------------------
+
+_UNKNOWN_KEY = {"extra_forbidden", "unexpected_keyword_argument"}
+_NOT_A_MAPPING = {"model_type", "dataclass_type", "dict_type", "model_attributes_type"}
+
+
+def read_model(path: Path, model: type[Model], build: Callable[[Any], Model] | None = None) -> Model:
+    """Return the model (pydantic, or a dataclass) that a YAML file describes; see `validate`. Raises InputError."""
+    return validate(load(path), model, build)
+
+
+def validate(document: Document, model: type[Model], build: Callable[[Any], Model] | None = None) -> Model:
+    """Return the model that the document describes.
+
+    build: makes the model from plain data where that takes more than its own validation. Raises InputError for the
+    first thing that is wrong, with its place; an unknown key gets the nearest known one.
+    """
+    adapter = TypeAdapter(model)
+    schema = Schema(adapter)
+    for key, value in items(document.value):
+        # pydantic would take yes for 1; in YAML a bare yes, no, on or off is true or false.
+        if isinstance(value, bool) and schema.kind(key) in ("number", "integer"):
+            raise document.error(key, f"expected a number, found {str(value).lower()}")
+    try:
+        return build(document.value) if build else adapter.validate_python(document.value)
+    except ValidationError as error:
+        raise _first_problem(document, error, schema) from None
+
+
+def _first_problem(document: Document, error: ValidationError, schema: Schema) -> InputError:
+    problems = error.errors(include_url=False)
+    # A key that is misspelt is also one that is missing: say the former.
+    problem = next((found for found in problems if found["type"] in _UNKNOWN_KEY), problems[0])
+    key = _written_key(document.value, problem["loc"])
+    if problem["type"] in _UNKNOWN_KEY:
+        text = f"unknown key; {nearest(str(key[-1]), schema.names(key[:-1]))}"
+    elif problem["type"].startswith("missing"):
+        key = (*key, problem["loc"][-1])
+        text = "expected a value, found nothing"
+    elif problem["type"] in _NOT_A_MAPPING:
+        text = f"expected keys and values, found {shown(problem['input'])}"
+    elif problem["type"] == "too_short":
+        text = f"expected at least {problem['ctx']['min_length']}, found {len(problem['input'])}"
+    elif problem["type"] == "too_long" and isinstance(problem["input"], list):
+        text = f"expected at most {problem['ctx']['max_length']}, found {len(problem['input'])}"
+    else:
+        text = _expectation(problem["msg"])
+        text += "" if ", found" in text else f", found {shown(problem['input'])}"
+    if len(problems) > 1:
+        text += f" (and {len(problems) - 1} more)"
+    return document.error(key, text)
+
+
+def _written_key(value: Any, location: tuple[str | int, ...]) -> Key:
+    """Return the part of a pydantic location that the document has; the rest are names of union members."""
+    key: Key = ()
+    for part in location:
+        known = value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+        if part in known:
+            value = value[part]
+            key = (*key, part)
+    return key
+
+
+def _expectation(message: str) -> str:
+    """Return pydantic's message in the words of this project: expected …"""
+    for start, ours in (("Input should be ", "expected "), ("Value error, ", "")):
+        if message.startswith(start):
+            return ours + message.removeprefix(start)
+    return message[:1].lower() + message[1:]
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """Return advice on an unknown name: the nearest known one, or all of them."""
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"the nearest known is {close[0]!r}" if close else f"known are {', '.join(sorted(known)) or 'none'}"
+
+
+class Schema:
+    """Looks things up in the JSON schema of a model; the schema is made when it is first needed."""
+
+    def __init__(self, adapter: TypeAdapter[Any]) -> None:
+        self._adapter = adapter
+
+    @cached_property
+    def _root(self) -> dict[str, Any]:
+        return self._adapter.json_schema()
+
+    def names(self, key: Key) -> list[str]:
+        """Return the keys that the model knows at `key`."""
+        return sorted({name for schema in self.at(key) for name in schema.get("properties", {})})
+
+    def kind(self, key: Key) -> str | None:
+        """Return the JSON type that the model wants at `key`, None when there are several or none."""
+        kinds = {schema.get("type") for schema in self.at(key)} - {"null"}
+        return kinds.pop() if len(kinds) == 1 else None
+
+    def at(self, key: Key) -> list[dict[str, Any]]:
+        """Return what the model takes at `key`: one schema, more for a union, none for a key that it does not know."""
+        schemas = self._alternatives(self._root)
+        for part in key:
+            inner = (s.get("items") if isinstance(part, int) else s.get("properties", {}).get(part) for s in schemas)
+            schemas = [found for schema in inner if isinstance(schema, dict) for found in self._alternatives(schema)]
+        return schemas
+
+    def _alternatives(self, schema: dict[str, Any]) -> list[dict[str, Any]]:
+        """Return the schemas that `schema` stands for, references and unions resolved."""
+        if "$ref" in schema:
+            return self._alternatives(self._root["$defs"][schema["$ref"].rsplit("/", 1)[-1]])
+        options = schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf")
+        return [found for option in options for found in self._alternatives(option)] if options else [schema]

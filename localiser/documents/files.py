@@ -97,7 +97,10 @@ def drafted(path: Path, *, is_new: bool = False) -> Iterator[Path]:
     the way. is_new: nothing is overwritten, whoever was there first. A device or pipe, such as /dev/null, is left what
     it is. Raises OutputError.
     """
-    _require_replaceable(path)
+    with suppress(OSError, ValueError):  # nothing is there, or whoever writes there will be told
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # root could replace it
+            raise OutputError(f"{path}: expected a file, or a path where nothing is, found a device or pipe")
     draft = draft_beside(path)
     with output_errors(path):
         try:
@@ -110,14 +113,6 @@ def drafted(path: Path, *, is_new: bool = False) -> Iterator[Path]:
         except BaseException:
             remove(draft)
             raise
-
-
-def _require_replaceable(path: Path) -> None:
-    """Raise OutputError where something is that is neither a file nor a folder; root could replace it."""
-    with suppress(OSError, ValueError):  # nothing is there, or whoever writes there will be told
-        mode = path.stat().st_mode
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise OutputError(f"{path}: expected a file, or a path where nothing is, found a device or pipe")
 
 
 def draft_beside(path: Path) -> Path:

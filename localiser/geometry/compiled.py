@@ -1,11 +1,10 @@
 """Compile loops by numba, and keep their machine code, so that only the first run has to wait for it.
 
-Numba's own cache does not do (0.68): its key is the time of a loop's file alone, so where a function that is inlined
-from another file changes, the old machine code stays in use; two processes that compile at once can mix up their files;
-a damaged file, or no folder that can be written, ends the program. Here the key is a digest of the loop's file, of the
-files of loops and the constants that it imports, of how it is compiled, the types of the arguments, the processor and
-the versions of numba, LLVM, numpy and Python. So kept code is never out of date, as long as loops use nothing else from
-other files, which a test checks. Several checkouts, users of one account and processes can share it.
+Numba's own cache does not do (0.68): its key is the time of a loop's file alone, so what is inlined from another file
+goes out of date; two processes that compile at once can mix up their files; a damaged file, or no folder that can be
+written, ends the program. Here the key is a digest of the loop's file, of the files of loops and the constants that it
+imports, of how it is compiled, the types of the arguments, the processor and the versions of numba, LLVM, numpy and
+Python. Kept code is never out of date, as long as loops use nothing else from other files, which a test checks.
 
 numba takes long to import, so it is imported when the first loop is compiled.
 """
@@ -23,7 +22,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -42,22 +41,9 @@ _OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}(\.[0-9a-f]{8})?")  # the latter: a dra
 # -- how loops are compiled -------------------------------------------------------------------------------------------
 
 
-def entry(function: F) -> F:
-    """Compile a loop over particles that Python calls; its machine code is kept. See `compiled`."""
-    return cast(F, _kept(function, True))
-
-
 def inlined(function: F) -> F:
     """Compile a part of loops over particles; it is inlined into the caller, where shapes are constant."""
     return cast(F, _with_numba(function, forceinline=True, no_cpython_wrapper=True, **_RULES))
-
-
-def compiled(function: F) -> F:
-    """Compile any other loop, with sums as they are written; its machine code is kept.
-
-    A decorator, or called where the loop is first needed: the same function is compiled once.
-    """
-    return cast(F, _kept(function, False))
 
 
 def part(function: F) -> F:
@@ -71,6 +57,15 @@ def _kept(function: Callable[..., Any], is_entry: bool) -> Any:
     if hasattr(loop, "targetoptions"):  # a plain function where NUMBA_DISABLE_JIT is set
         loop._cache = _Kept(loop)
     return loop
+
+
+entry: Callable[[F], F] = partial(_kept, is_entry=True)
+"""Compile a loop over particles that Python calls; its machine code is kept. See `compiled`."""
+compiled: Callable[[F], F] = partial(_kept, is_entry=False)
+"""Compile any other loop, with sums as they are written; its machine code is kept.
+
+A decorator, or called where the loop is first needed: the same function is compiled once.
+"""
 
 
 def _with_numba(function: Callable[..., Any], **rules: Any) -> Any:
@@ -96,19 +91,16 @@ def private_folder(name: str) -> Path | None:
     temporary files. It is the first that can be written and that no other user can put anything into, because this
     process trusts what is in it: it executes the code.
     """
-    return next((private for place in _places(name) if (private := _private(place))), None)
-
-
-def _places(name: str) -> Iterator[Path]:
-    if stated := os.environ.get("LOCALISER_CACHE"):
-        yield Path(stated) / name
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    places = [Path(stated) / name] if (stated := os.environ.get("LOCALISER_CACHE")) else []
     with suppress(RuntimeError):  # a user without a home
-        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "localiser" / name
+        places.append(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "localiser" / name)
     with suppress(OSError):  # no folder for temporary files
-        yield Path(tempfile.gettempdir()) / f"localiser-{name}-{_user()}"
+        places.append(Path(tempfile.gettempdir()) / f"localiser-{name}-{user}")
+    return next((private for place in places if (private := _private(place, user))), None)
 
 
-def _private(place: Path) -> Path | None:
+def _private(place: Path, user: int) -> Path | None:
     """Make a folder where there is none, and return it without links; None where another user could change it.
 
     Whoever can write to a folder on the way there could put another in its place, but for what is in one like /tmp.
@@ -121,16 +113,12 @@ def _private(place: Path) -> Path | None:
                     folder.mkdir(mode=0o700)
             found = folder.lstat()
             others_write = found.st_mode & 0o022 and (folder == place or not found.st_mode & stat.S_ISVTX)
-            if not stat.S_ISDIR(found.st_mode) or found.st_uid not in (0, _user()) or others_write:
+            if not stat.S_ISDIR(found.st_mode) or found.st_uid not in (0, user) or others_write:
                 return None
         tempfile.TemporaryFile(dir=place).close()
     except (OSError, RuntimeError):  # a link to itself
         return None
-    return place if found.st_uid == _user() else None
-
-
-def _user() -> int:
-    return os.getuid() if hasattr(os, "getuid") else 0
+    return place if found.st_uid == user else None
 
 
 class _Kept:
@@ -198,20 +186,14 @@ def write_kept(path: Path, content: bytes, most: int) -> None:
     try:
         draft.write_bytes(hashlib.sha256(content).digest() + content)
         draft.replace(path)
-        _forget_oldest(path.parent, most)
+        ours = [file for file in path.parent.iterdir() if _OUR_NAME.fullmatch(file.name)]
+        for file in sorted(ours, key=lambda file: file.stat().st_mtime)[:-most]:
+            file.unlink(missing_ok=True)
     except OSError:
         return
     finally:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
-
-
-def _forget_oldest(where: Path, most: int) -> None:
-    with os.scandir(where) as files:
-        ours = [file for file in files if _OUR_NAME.fullmatch(file.name)]
-        by_use = sorted(ours, key=lambda file: file.stat().st_mtime)
-    for file in by_use[:-most]:
-        Path(file.path).unlink(missing_ok=True)
 
 
 # -- what machine code depends on -------------------------------------------------------------------------------------
@@ -222,10 +204,9 @@ def _versions() -> tuple[object, ...]:
     import llvmlite
     import numba
 
-    told = {name: value for name, value in os.environ.items() if name.startswith("NUMBA_")}
-    told.pop("NUMBA_NUM_THREADS", None)
+    told = [each for each in os.environ.items() if each[0].startswith("NUMBA_") and each[0] != "NUMBA_NUM_THREADS"]
     versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version, platform.machine())
-    return (*versions, *sorted(told.items()))
+    return (*versions, *sorted(told))
 
 
 def _told(function: Any, met: set[str]) -> Iterator[object]:

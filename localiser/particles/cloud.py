@@ -21,10 +21,10 @@ MOST_STAGES = 12  # of resampling in one frame, so that it takes a bounded time 
 class Particles:
     """N weighted hypotheses.
 
-    names: D column names, x, z, heading first, then B constant errors. columns: (D, N), so that each column is
-    contiguous. log_weight: (N,) natural logarithms, up to a common constant. circular: names of columns that are
-    angles. constant_error_cov: (B, B) of the constant errors within each particle: its columns are the mean of a normal
-    density, and all particles share its covariance; empty where none is in doubt. The camera's yaw widens the heading.
+    names: D column names, x, z, heading first, then B constant errors. columns: (D, N), each contiguous. log_weight:
+    (N,) natural logarithms, up to a common constant. circular: names of columns that are angles. constant_error_cov:
+    (B, B) of the constant errors within each particle, of which the columns are the mean of a normal density; empty
+    where none is in doubt. The camera's yaw widens the heading.
     """
 
     names: tuple[str, ...]
@@ -122,10 +122,7 @@ def effective_sample_size(weight: Array) -> float:
 
 
 def largest_step(log_weight: Array, log_likelihood: Array, share: float, fewest: float) -> float:
-    """Return the largest part of `share`, 0 … 1, of a log-likelihood (N,) that leaves `fewest` effective samples.
-
-    Returns `share` itself where all of it does, 0 where no part does.
-    """
+    """Return the largest part of `share`, 0 … 1, of a log-likelihood (N,) that leaves `fewest` effective samples."""
 
     def enough(step: float) -> bool:
         return effective_sample_size(normalised(log_weight + step * log_likelihood)) >= fewest
@@ -162,14 +159,15 @@ def take(particles: Particles, index: Indices) -> Particles:
     return replace(particles, columns=np.take(particles.columns, index, axis=1), log_weight=np.zeros(len(index)))
 
 
-def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
+def only(particles: Particles, chosen: NDArray[np.bool_]) -> Particles:
     """Return the chosen (N,) of the particles, with their weights."""
     return replace(particles, columns=particles.columns[:, chosen], log_weight=particles.log_weight[chosen])
 
 
 def thinned(particles: Particles, count: int) -> Particles:
     """Return every k-th of the particles, with its weight: `count` of them, or somewhat more."""
-    return only(particles, slice(None, None, max(len(particles) // count, 1)))
+    step = max(particles.columns.shape[1] // count, 1)
+    return replace(particles, columns=particles.columns[:, ::step], log_weight=particles.log_weight[::step])
 
 
 def estimate(particles: Particles) -> Estimate:

@@ -2,8 +2,8 @@
 
 Poses are put into a grid over x, z and heading. The heaviest cells that together hold the share `mass` of the weight
 are the region of highest density; its connected parts (26 neighbours, the heading's circle closed) are the clusters.
-Two of them are therefore apart by at least one cell of little weight, so a thin trail of particles joins nothing. The
-cost grows as N log N with the particles, not with the space they are spread over. Nothing is random.
+So a thin trail of particles joins nothing. The cost grows as N log N with the particles, not with the space. Nothing is
+random.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def find_clusters(
 ) -> Clusters:
     """Return the clusters of poses (N, 3) with weight (N,), in cells of cell_m × cell_m × about cell_rad.
 
-    weight: not negative, of any positive sum. mass: share of the weight, 0 … 1, that clusters hold at least. Raises
-    ValueError when the weights' sum is zero or not finite, or a cell is not larger than zero.
+    weight: not negative. mass: share of the weight, 0 … 1, that clusters hold at least. Raises ValueError when the
+    weights' sum is zero or not finite, or a cell is not larger than zero.
     """
     total = float(np.sum(weight))
     if not np.isfinite(total) or total <= 0:
