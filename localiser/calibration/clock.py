@@ -23,11 +23,11 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory, between
 from localiser.motion import MotionParameters
 from localiser.visual_odometry import (
-    Belief,
-    Frames,
     Gaussian,
+    TwoImages,
     VisualOdometryParameters,
     follow,
+    likely_twists,
 )
 
 REACH_S = 1.0
@@ -275,7 +275,7 @@ def _turns_of(
         ways.append(between(first, second)[:, 1])
     for row, (pair, ways_m) in enumerate(zip(pairs.tolist(), np.stack(ways, axis=-1), strict=True)):
         known = {image: known[image] if image in known else edges_of(image) for image in pair}
-        frames = Frames.of(known[pair[0]], known[pair[1]], camera)
+        images = TwoImages.of(known[pair[0]], known[pair[1]], camera)
         way_m = ways_m.mean()
         seconds = (times[row, 1] - times[row, 0]) / 1e9
         sigma = [
@@ -284,7 +284,7 @@ def _turns_of(
             turn_sigma * seconds,
         ]
         prior = Gaussian(np.array([0.0, way_m, 0.0]), np.diag(np.square(sigma)))
-        twist = follow(frames, [Belief(prior, frames.likely_motions(prior))]).twist
+        twist = follow(images, likely_twists(images, prior), [(prior, 0.0)]).twist
         found[row] = twist.mean[2], np.sqrt(twist.cov[2, 2])
         progress()
     return found

@@ -27,13 +27,14 @@ from localiser.edges import Edges
 from localiser.geometry import Array, Increment, between
 from localiser.particles import Estimate
 from localiser.visual_odometry import (
-    Frames,
     Gaussian,
     Odometer,
+    TwoImages,
     VisualOdometryParameters,
+    likely_twists,
     motion_gaussian,
     seen_increment,
-    twist_of_wheels,
+    twist_gaussian,
     with_scale,
 )
 
@@ -48,7 +49,7 @@ DOUBTED = 0.05  # probability of being wrong from which on particles do not move
 SUSPECT = -4.0  # log-ratio from which on edges are followed, which takes longer
 CROSSED = 0.05  # part of the images whose edges are no more where they were than any are
 ASTRAY = 0.05  # part of the motions by edges that are off by more than they claim
-LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])  # of any motion that edges are compared with
+LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])  # of any motion that is compared with edges, which are never exact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +69,8 @@ class Evidence:
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:
         """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
-        frames = Frames.of(self.before, self.after, self.odometer.camera)
-        likely = frames.likely_motions(prior) if len(self.before) and len(self.after) else []
+        images = TwoImages.of(self.before, self.after, self.odometer.camera)
+        likely = likely_twists(images, prior) if len(self.before) and len(self.after) else []
         if not likely:
             return seen_increment(motion_gaussian(prior)), 0.0
         miss_rad, var = likely[0][2] - prior.mean[2], prior.cov[2, 2]
@@ -136,7 +137,8 @@ class Wheels:
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
             return replace(self, wrong=0.0, usual=usual, fit=True), None
         expected = parameters.twist(self.pace, seconds)
-        log_ratio, seen = evidence.weighed(expected, twist_of_wheels(increment, cov), *right.tolist()), None
+        wheels_say = twist_gaussian(Gaussian(increment.mean, cov + np.diag(LEAST_SIGMA**2)))
+        log_ratio, seen = evidence.weighed(expected, wheels_say, *right.tolist()), None
         if log_ratio > SUSPECT or self.are_wrong:
             seen = with_scale(evidence.followed(self.pace, seconds), walks=False)
             log_ratio += contradicts(increment.mean, cov, seen, parameters.twist(None, seconds).cov)

@@ -1,4 +1,4 @@
-"""The motion between two images: find a start by votes, then pair edges and solve for the motion alternately.
+"""The motion between two images: find starts by votes, then pair edges and solve for the motion alternately.
 
 The errors of edges of one thing are not independent: all edges of a poster end above the floor, and a moving chair
 moves all of its edges. A covariance that treats them as independent is far too small. So the motion is estimated again
@@ -17,34 +17,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.camera import Camera
-from localiser.edges import Edges
 from localiser.geometry import Array, arc_log, wrap_angle
-from localiser.landmarks import field_of_view_rad
-from localiser.visual_odometry.sights import (
-    FOLLOWED_SHARE,
-    FOOT_UNEVEN_SIGMA_M,
-    TYPICAL_INVERSE_RANGE,
-    TYPICAL_SPREAD,
-    Sights,
-    how_alike,
-    with_errors_apart,
-)
+from localiser.particles import normalised
+from localiser.visual_odometry.two_images import TwoImages
 
 _REACH = 2.5  # sigmas of the prior that are searched
-_BIN_RAD = np.deg2rad(0.25)
+_BIN_RAD, _MOST_BINS = np.deg2rad(0.25), 1440
 _WIDTHS_RAD = np.deg2rad([0.3, 0.6, 1.2, 2.4, 4.8])
 _GRID = np.linspace(-1.0, 1.0, 7)
-_MOST_BINS = 1440
 _KERNEL_REACH = 3.0  # sigmas
 _PEAKS = 4
+# Of views in which no lower end is a foot: a wall close by and what hangs on it. All such edges seem far, their ends
+# near the horizon, and agree on a wrong motion, each as surely as a foot; taken one by one they would win.
 _HANGING_SHARE = 0.3
-"""Of views in which no lower end is a foot: a wall close by and what hangs on it. All such edges seem far, their ends
-near the horizon, and agree on a wrong motion, each as surely as a foot; taken one by one they would win."""
-_APART_RAD = np.deg2rad(3.0)
-"""Edges closer together than this are likely of one thing: a door, a poster, a shelf."""
-_START_VAR = np.array([2e-3, 2e-3, 5e-4]) ** 2
-"""How far a start of the search may be off: right, backward (m), turn (rad)."""
 
 
 # -- motions and twists, normally distributed -------------------------------------------------------------------------
@@ -71,8 +56,7 @@ class Gaussian:
 
 def mixture(parts: Sequence[Gaussian], log_weight: Array) -> Gaussian:
     """Return the Gaussian with mean and covariance of a mixture of K motions; log_weight: (K,), up to a constant."""
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
+    weight = normalised(log_weight)
     origin = parts[int(weight.argmax())].mean
     offset = np.array([part.mean - origin for part in parts])
     offset[:, 2] = wrap_angle(offset[:, 2])
@@ -114,191 +98,109 @@ def twist_gaussian(motion: Gaussian) -> Gaussian:
     return Gaussian(twist, jac @ motion.cov @ jac.T)
 
 
-# -- two frames -------------------------------------------------------------------------------------------------------
+# -- starts -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Frames:
-    """Two frames, made ready once to be followed under one belief or another.
+def likely_twists(images: TwoImages, prior: Gaussian) -> list[Array]:
+    """Return up to `_PEAKS` twists (3,) that most pairs agree on, of turns apart from one another, best first.
 
-    pairs: (P, 2) of edges whose polarities do not contradict each other. look: (P,) how alike they are, 0 … 1.
-    mount: (5,) of the camera, see `twist_kernel.camera_moved`. model: see `twist_kernel.refine`.
+    A Hough transform: for a coarse grid of translations, among those that the prior allows, each pair votes for its
+    change of bearing minus the parallax, blurred by the uncertainty of its range and of the grid.
     """
+    from localiser.visual_odometry import twist_kernel as kernel
 
-    one: Sights
-    two: Sights
-    pairs: NDArray[np.int64]
-    look: Array
-    mount: Array
-    model: tuple[float, float]
+    sigma = np.sqrt(np.diag(prior.cov))
+    reach = min(_REACH * sigma[2], np.pi)
+    bins = int(np.clip(2 * reach / _BIN_RAD, 3, _MOST_BINS)) | 1
+    turns = prior.mean[2] + np.linspace(-reach, reach, bins)
+    offset = np.stack(np.meshgrid(_GRID, _GRID), axis=-1).reshape(-1, 2) * _REACH * 0.8
+    grid = prior.mean[:2] + offset * sigma[:2]
+    cell = (_GRID[1] - _GRID[0]) * _REACH * 0.8 * sigma[:2] / 2
+    moves = np.array([kernel.camera_moved(np.array([*step, 0.0]), images.mount)[:2] for step in grid])
+    # What a vote of each width gives to the bins at 0, 1, 2 … from it; 0 beyond its reach.
+    bin_rad = turns[1] - turns[0]
+    width = np.maximum(_WIDTHS_RAD, bin_rad)[:, None]
+    apart = np.arange(int(_KERNEL_REACH * width.max() / bin_rad) + 1) * bin_rad / width
+    kernels = np.where(apart < _KERNEL_REACH, np.exp(-0.5 * apart**2) / width, 0.0)
+    found = kernel.votes(images, moves, cell, turns, _WIDTHS_RAD, kernels, (kernels > 0).sum(axis=1))
+    found = found * np.exp(-0.5 * (offset**2).sum(axis=-1)[:, None] / 4)
 
-    @classmethod
-    def of(cls, before: Edges, after: Edges, camera: Camera) -> Frames:
-        """Return the frames with these edges, seen by one camera, whose mount may differ from one to the other."""
-        one, two = Sights.of(before, camera), Sights.of(after, camera)
-        if len(before) and len(after):
-            one, two = with_errors_apart(one, two, before, after)
-        first, second = (camera.at(edges.mount).robot_from_level[:2] for edges in (before, after))
-        pairs = np.ascontiguousarray(np.argwhere(before.polarity[:, None].astype(int) * after.polarity >= 0))
-        look = how_alike(before.profile, after.profile)[pairs[:, 0], pairs[:, 1]]
-        new_share = (1.0 - FOLLOWED_SHARE) / (FOLLOWED_SHARE / max(len(before), 1))
-        model = FOOT_UNEVEN_SIGMA_M / camera.mount.height_m, new_share / field_of_view_rad(camera)
-        mount = np.array([*first, camera.mount.yaw_rad, *(second - first)])
-        return cls(one, two, pairs, look, mount, model)
-
-    def likely_motions(self, prior: Gaussian) -> list[Array]:
-        """Return up to `_PEAKS` twists (3,) that most pairs agree on, of turns apart from one another, best first.
-
-        A Hough transform: for a coarse grid of translations, among those that the prior allows, each pair votes for its
-        change of bearing minus the parallax, blurred by the uncertainty of its range and of the grid.
-        """
-        from localiser.visual_odometry import twist_kernel as kernel
-
-        sigma = np.sqrt(np.diag(prior.cov))
-        reach = min(_REACH * sigma[2], np.pi)
-        bins = int(np.clip(2 * reach / _BIN_RAD, 3, _MOST_BINS)) | 1
-        turns = prior.mean[2] + np.linspace(-reach, reach, bins)
-        offset = np.stack(np.meshgrid(_GRID, _GRID), axis=-1).reshape(-1, 2) * _REACH * 0.8
-        grid = prior.mean[:2] + offset * sigma[:2]
-        cell = (_GRID[1] - _GRID[0]) * _REACH * 0.8 * sigma[:2] / 2
-        moves = np.array([kernel.camera_moved(np.array([*step, 0.0]), self.mount)[:2] for step in grid])
-
-        # What a vote of each width gives to the bins at 0, 1, 2 … from it; 0 beyond its reach.
-        bin_rad = turns[1] - turns[0]
-        width = np.maximum(_WIDTHS_RAD, bin_rad)[:, None]
-        apart = np.arange(int(_KERNEL_REACH * width.max() / bin_rad) + 1) * bin_rad / width
-        kernels = np.where(apart < _KERNEL_REACH, np.exp(-0.5 * apart**2) / width, 0.0)
-        one, two = self.one.measured[self.pairs[:, 0]].T.copy(), self.two.measured[self.pairs[:, 1]].T.copy()
-        foot = np.where(np.isnan(one[1]), two[1], one[1])
-        inverse = np.where(np.isnan(foot), TYPICAL_INVERSE_RANGE, foot)
-        spread = np.where(np.isnan(foot), TYPICAL_SPREAD, 0.2 * TYPICAL_SPREAD)
-        reaches = (kernels > 0).sum(axis=1)
-        found = kernel.votes(
-            one[0], two[0], inverse, spread, self.look, moves, cell, turns, _WIDTHS_RAD, kernels, reaches
-        )
-        found = found * np.exp(-0.5 * (offset**2).sum(axis=-1)[:, None] / 4)
-
-        best, likely = found.max(axis=0), list[Array]()
-        while len(likely) < _PEAKS and best.max() > 0:
-            column = int(best.argmax())
-            likely.append(np.array([*grid[int(found[:, column].argmax())], turns[column]]))
-            best = np.where(np.abs(turns - turns[column]) < 4 * _WIDTHS_RAD[0], 0.0, best)
-        return likely
-
-    def groups(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the group (M,) of each of the pairs: edges less than 3° from the next are the sides of one thing."""
-        bearing = self.one.measured[self.pairs[chosen, 0], 0]
-        order = np.argsort(bearing)
-        group = np.empty(len(bearing), dtype=np.int64)
-        group[order] = np.cumsum(np.diff(bearing[order], prepend=-np.inf) > _APART_RAD) - 1
-        return group
+    best, likely = found.max(axis=0), list[Array]()
+    while len(likely) < _PEAKS and best.max() > 0:
+        column = int(best.argmax())
+        likely.append(np.array([*grid[int(found[:, column].argmax())], turns[column]]))
+        best = np.where(np.abs(turns - turns[column]) < 4 * _WIDTHS_RAD[0], 0.0, best)
+    return likely
 
 
 # -- the motion -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Belief:
-    """What may be believed of a twist before edges are followed.
-
-    prior: of the twist. starts: twists (3,) to begin at. log_share: of how often the belief is right.
-    """
-
-    prior: Gaussian
-    starts: Sequence[Array]
-    log_share: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """How the robot moved, by the edges of two frames.
+    """How the robot moved, by the edges of two images.
 
     twist: of the motion, right (m), backward (m), turn (rad) in the robot frame of the first.
     chosen: (M,) indices of the pairs of edges that were followed.
-    log_evidence: of how well the frames are explained, by Laplace's approximation.
+    log_evidence: of how well the images are explained, by Laplace's approximation.
     has_feet: whether any lower end was taken for a foot.
     """
 
     twist: Gaussian
     chosen: NDArray[np.int64]
     log_evidence: float
-    has_feet: bool
-
-    @property
-    def motion(self) -> Gaussian:
-        """The motion itself: right (m), backward (m), turn (rad)."""
-        return motion_gaussian(self.twist)
+    has_feet: bool = True
 
 
-def follow(frames: Frames, beliefs: Sequence[Belief]) -> Followed:
-    """Return the motion between two frames, given what may be believed of it.
+def follow(images: TwoImages, starts: Sequence[Array], priors: Sequence[tuple[Gaussian, float]]) -> Followed:
+    """Return the motion between two images.
 
-    Each belief explains the edges more or less well, and Bayes' rule weighs them by that. Where contradicting motions
-    explain them alike, the covariance reaches from the one to the other [Bar-Shalom, Li, Kirubarajan 2001, section
-    1.4.16]: contradictions are never averaged into something certain, and the map decides.
+    starts: twists (3,) to begin at, the best first. priors: what may be believed of the twist, and the logarithm of how
+    often that is right. Each explains the edges more or less well, and Bayes' rule weighs them by that. Where
+    contradicting motions explain them alike, the covariance reaches from the one to the other [Bar-Shalom, Li,
+    Kirubarajan 2001, section 1.4.16]: contradictions are never averaged into something certain, and the map decides.
     """
-    found: list[tuple[Belief, Followed]] = []
-    for belief in beliefs:
-        found.append((belief, _nothing(belief)))
-        if len(frames.pairs) and len(belief.starts):
-            standing = _distinct(_refined(frames, belief, start) for start in belief.starts)
-            again = standing[0].twist.mean, belief.starts[0]
-            hanging = _distinct(_refined(frames, belief, start, on_floor=False) for start in again)
-            found += [(belief, each) for each in standing + hanging]
-    belief, best = max(found, key=lambda pair: pair[1].log_evidence)
+    found: list[tuple[Followed, Followed]] = []
+    every = np.ones(len(images.pairs), dtype=np.bool_)
+    for prior, log_share in priors:
+        nothing = Followed(prior, np.zeros(0, dtype=np.int64), log_share)
+        tried = [nothing]
+        if len(images.pairs) and len(starts):
+            standing = _distinct(_refined(images, nothing, start, True, every) for start in starts)
+            again = standing[0].twist.mean, starts[0]
+            tried += standing + _distinct(_refined(images, nothing, start, False, every) for start in again)
+        found += [(nothing, each) for each in tried]
+    nothing, best = max(found, key=lambda pair: pair[1].log_evidence)
     whole = mixture([other.twist for _, other in found], np.array([other.log_evidence for _, other in found]))
     # What the twist changes by when one group of edges is left out.
-    group = np.full(len(frames.pairs), -1)
-    group[best.chosen] = frames.groups(best.chosen)
+    group = np.full(len(images.pairs), -1)
+    group[best.chosen] = images.groups(best.chosen)
     count = int(group.max(initial=-1)) + 1
     change = np.zeros((count, 3))
     for left_out in range(count):
         usable = (group >= 0) & (group != left_out)
-        left = _refined(frames, belief, best.twist.mean, on_floor=best.has_feet, usable=usable)
+        left = _refined(images, nothing, best.twist.mean, best.has_feet, usable)
         change[left_out] = left.twist.mean - best.twist.mean
     fragility = change.T @ change * max(count - 1, 1) / max(count, 1)
     return replace(best, twist=Gaussian(whole.mean, at_least(whole.cov, fragility)))
 
 
-def _nothing(belief: Belief) -> Followed:
-    """Return what is believed when no edge can be followed."""
-    return Followed(belief.prior, np.zeros(0, dtype=np.int64), belief.log_share, True)
-
-
-def _refined(
-    frames: Frames, belief: Belief, start: Array, *, on_floor: bool = True, usable: NDArray[np.bool_] | None = None
-) -> Followed:
+def _refined(images: TwoImages, nothing: Followed, start: Array, on_floor: bool, usable: NDArray[np.bool_]) -> Followed:
     """Return the motion found from the twist `start` (3,).
 
-    on_floor: whether lower ends may be feet at all. usable: (P,) whether a pair is, by default all are.
+    nothing: what is believed where no edge is followed; its twist is the prior. on_floor: whether lower ends may be
+    feet at all. usable: (P,) whether a pair is.
     """
     from localiser.visual_odometry import twist_kernel as kernel
 
-    prior, size = belief.prior, 4 + frames.one.common.shape[2]
-    expected, information, start_cov = np.zeros(size), np.eye(size), np.eye(size)
-    expected[:3], expected[-1] = prior.mean, TYPICAL_INVERSE_RANGE
-    information[:3, :3], information[-1, -1] = np.linalg.inv(prior.cov), TYPICAL_SPREAD**-2
-    start_cov[:3, :3] = np.diag(_START_VAR)
-    mean, cov, chosen, log_likelihood = kernel.refine(
-        frames.pairs,
-        frames.look,
-        np.ones(len(frames.pairs), dtype=np.bool_) if usable is None else usable,
-        frames.one,
-        frames.two,
-        frames.mount,
-        frames.model,
-        expected,
-        information,
-        on_floor,
-        np.append(start, np.zeros(size - 3)),
-        start_cov,
-    )
+    prior = nothing.twist
+    information: Array = np.asarray(np.linalg.inv(prior.cov))
+    mean, cov, chosen, log_likelihood = kernel.refine(images, usable, prior.mean, information, on_floor, start)
     if len(chosen) == 0:
-        return _nothing(belief)
-    mean, cov = mean[:3], cov[:3, :3]
-    group = frames.groups(chosen)
+        return nothing
+    group = images.groups(chosen)
     occam = prior.log_density(mean) + 0.5 * float(np.linalg.slogdet(2 * np.pi * cov)[1])
-    share = belief.log_share + float(np.log(1.0 - _HANGING_SHARE if on_floor else _HANGING_SHARE))
+    share = nothing.log_evidence + float(np.log(1.0 - _HANGING_SHARE if on_floor else _HANGING_SHARE))
     # Edges of one group are one piece of evidence, not many.
     evidence = float((log_likelihood / np.bincount(group)[group]).sum()) + occam + share
     return Followed(Gaussian(mean, cov), chosen, evidence, on_floor)

@@ -10,8 +10,9 @@ from pydantic import BeforeValidator, Field
 
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, Increment
-from localiser.visual_odometry.estimate import Belief, Frames, Gaussian, follow, twist_gaussian
+from localiser.geometry import Increment
+from localiser.visual_odometry.estimate import Gaussian, follow, likely_twists, motion_gaussian
+from localiser.visual_odometry.two_images import TwoImages
 
 LONGEST_S = 600.0
 
@@ -67,18 +68,17 @@ class VisualOdometryParameters:
         return Gaussian(kept * pace.mean * seconds, cov * seconds**2)
 
 
-# -- from two frames to an increment ----------------------------------------------------------------------------------
+# -- from two images to an increment ----------------------------------------------------------------------------------
 
 SCALE_SIGMA = 0.12
 """Of the scale of all ranges: lower ends that are taken for feet stand on plinths and lower shelves of about 0.1 m."""
 SCALE_M = 2.0
 """How far the robot drives until other things are in view, and the scale is another."""
-_LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometer:
-    """Turns what two frames of one camera say into an increment."""
+    """Turns what two images of one camera say into an increment."""
 
     camera: Camera
     parameters: VisualOdometryParameters
@@ -113,25 +113,17 @@ class Odometer:
         steers: whether the robot hardly ever moves sideways. What wheels are judged by must not take that for granted:
         where edges do not tell, the prior would speak against every robot that walks or flies.
         """
-        frames = Frames.of(Edges.none() if before is None else before, after, self.camera)
+        images = TwoImages.of(Edges.none() if before is None else before, after, self.camera)
         prior = self.parameters.twist(None if before is None else pace, seconds)
-        starts, share = frames.likely_motions(prior), self.parameters.sidle_share
-        beliefs = [Belief(prior, starts, float(np.log(share)))]
+        share = self.parameters.sidle_share
+        priors = [(prior, float(np.log(share)))]
         if steers:
             # The motion to the right is known to be 0, give or take this.
             gain = prior.cov[:, 0] / (prior.cov[0, 0] + (self.parameters.sideways_m_s * seconds) ** 2)
             straight = Gaussian(prior.mean - gain * prior.mean[0], prior.cov - np.outer(gain, prior.cov[0]))
-            beliefs.insert(0, Belief(straight, starts, float(np.log1p(-share))))
-        found = follow(frames, beliefs)
-        return found.motion, Gaussian(found.twist.mean / seconds, found.twist.cov / seconds**2)
-
-
-def twist_of_wheels(wheel: Increment, cov: Array) -> Gaussian:
-    """Return the twist that wheels say, whose motion has this covariance (3, 3).
-
-    Wheels that stand still know it exactly, edges never do: so the covariance is at least that of edges.
-    """
-    return twist_gaussian(Gaussian(wheel.mean, cov + np.diag(_LEAST_SIGMA**2)))
+            priors.insert(0, (straight, float(np.log1p(-share))))
+        twist = follow(images, likely_twists(images, prior), priors).twist
+        return motion_gaussian(twist), Gaussian(twist.mean / seconds, twist.cov / seconds**2)
 
 
 def with_scale(motion: Gaussian, *, walks: bool) -> Gaussian:

@@ -8,8 +8,8 @@ Inverse, because the foot of an edge is seen at a depression whose tangent is h 
 because ρ = 0 is a far edge like any other, which shows the turn and nothing else. With c = 0 that is [Taylor06] eq. 13,
 with no turn and c along the axis it is eq. 9-11.
 
-E edges in the first frame, F in the second, P pairs of them, M links, K common errors. Constants of how edges behave
-are in `sights`.
+E edges in the first image, F in the second, P pairs of them, M chosen, K common errors, U = 3 + K + 1 unknowns: twist,
+common errors, typical inverse range.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled, part
-from localiser.visual_odometry.sights import (
-    FLOOR_SHARE,
-    HUNG_SHARE,
-    TYPICAL_INVERSE_RANGE,
-    TYPICAL_SPREAD,
-    Sights,
-)
+from localiser.visual_odometry.two_images import TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, TwoImages
 
+Indices = NDArray[np.int64]
+
+FLOOR_SHARE = 0.5  # of the lower ends that are feet
+HUNG_SHARE = 0.5  # of lower ends that are no feet, that hang at a height of their own; something hides the rest
+START_SIGMA = 2e-3, 2e-3, 5e-4  # how far a start of the search may be off: right, backward (m), turn (rad)
+TYPICAL_INFORMATION = TYPICAL_SPREAD**-2
 _ROUNDS, _STEPS, _SMALL_STEP = 10, 3, 1e-5
 _FAR_SIGMAS, _FAR_RAD = 5.0, np.radians(0.3)  # beyond which a pair is none: of what is known, and of bearings
 
@@ -113,39 +113,32 @@ def _variance(by: Array, cov: Array) -> float:
 
 @compiled
 def votes(
-    one: Array,
-    two: Array,
-    inverse: Array,
-    spread: Array,
-    look: Array,
-    moves: Array,
-    cell: Array,
-    turns: Array,
-    widths: Array,
-    kernels: Array,
-    reaches: NDArray[np.int64],
+    images: TwoImages, moves: Array, cell: Array, turns: Array, widths: Array, kernels: Array, reaches: Indices
 ) -> Array:
     """Return the votes (G, B) of P pairs for B turns, evenly spaced, under each of G moves (x, z of the camera).
 
-    one, two: bearings (P,). inverse, spread: inverse ranges (P,) and their sigmas. kernels: (W, R) what a vote of each
-    of W widths gives to its R next bins, of which `reaches` (W,) are not 0. cell: (2,) half of the distance between
-    moves.
+    kernels: (W, R) what a vote of each of W widths gives to its R next bins, of which `reaches` (W,) are not 0. cell:
+    (2,) half of the distance between moves.
     """
     result = np.zeros((len(moves), len(turns)))
-    for p in range(len(look)):
-        sin, cos = np.sin(one[p]), np.cos(one[p])
-        by_cell = inverse[p] * np.sqrt((cos * cell[0]) ** 2 + (sin * cell[1]) ** 2) / 2.0
+    for p in range(len(images.pairs)):
+        one, two = images.one.measured[images.pairs[p, 0]], images.two.measured[images.pairs[p, 1]]
+        inverse, spread = two[1] if np.isnan(one[1]) else one[1], 0.2 * TYPICAL_SPREAD
+        if np.isnan(inverse):
+            inverse, spread = TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD
+        sin, cos = np.sin(one[0]), np.cos(one[0])
+        by_cell = inverse * np.sqrt((cos * cell[0]) ** 2 + (sin * cell[1]) ** 2) / 2.0
         for g in range(len(moves)):
             x, z = moves[g]
-            parallax = spread[p] * (cos * x + sin * z)
+            parallax = spread * (cos * x + sin * z)
             width = np.sqrt(parallax**2 + by_cell**2)
             kind = 0
             while kind < len(widths) - 1 and widths[kind] < width:
                 kind += 1
-            turn = _wrapped(two[p] - np.arctan2(sin - inverse[p] * x, cos + inverse[p] * z))
+            turn = _wrapped(two[0] - np.arctan2(sin - inverse * x, cos + inverse * z))
             middle = int(np.round((turn - turns[0]) / (turns[1] - turns[0])))
             for column in range(max(middle - reaches[kind] + 1, 0), min(middle + reaches[kind], len(turns))):
-                result[g, column] += look[p] * kernels[kind, abs(column - middle)]
+                result[g, column] += images.look[p] * kernels[kind, abs(column - middle)]
     return result
 
 
@@ -153,25 +146,14 @@ def votes(
 
 
 @part
-def pair_odds(
-    pairs: NDArray[np.int64],
-    look: Array,
-    usable: NDArray[np.bool_],
-    one: Sights,
-    two: Sights,
-    unknown: Array,
-    cov: Array,
-    mount: Array,
-    model: tuple[float, float],
-    on_floor: bool,
-) -> Array:
+def pair_odds(images: TwoImages, usable: NDArray[np.bool_], unknown: Array, cov: Array, on_floor: bool) -> Array:
     """Return of each pair (P, 2): odds of being one edge, and that its ends are feet.
 
-    unknown, cov: (3 + K or more,) twist and common errors, as far as they are known. model: see `refine`.
+    unknown, cov: (U,), (U, U or more) as far as they are known.
     """
-    uneven, new_density = model
+    one, two, pairs = images.one, images.two, images.pairs
     turn, wrong, wrong_cov = unknown[2], unknown[3:], cov[3:, 3:]
-    x, z, by_twist = camera_moved(unknown, mount)
+    x, z, by_twist = camera_moved(unknown, images.mount)
     sin, cos = np.sin(turn), np.cos(turn)
     back_x, back_z = -(cos * x - sin * z), -(sin * x + cos * z)
     result, slopes = np.zeros((len(pairs), 2)), np.empty((2, 5))
@@ -202,7 +184,7 @@ def pair_odds(
                 foot_var = foot_var * later_var / narrow
         share = 0.0
         if not np.isnan(foot):
-            foot_var += (uneven * foot) ** 2 + _variance(common, wrong_cov)
+            foot_var += (images.uneven * foot) ** 2 + _variance(common, wrong_cov)
             share = FLOOR_SHARE if on_floor else 0.0
         # Two readings of the lower end.
         total = standing = 0.0
@@ -220,14 +202,14 @@ def pair_odds(
             total += density
             if reading == 0:
                 standing = density
-        result[p, 0] = look[p] * total / np.sqrt(2.0 * np.pi) / new_density
+        result[p, 0] = images.look[p] * total / np.sqrt(2.0 * np.pi) / images.new_density
         result[p, 1] = standing / total if total > 0.0 else 0.0
     return result
 
 
 @compiled
-def one_to_one(pairs: NDArray[np.int64], odds: Array, firsts: int, seconds: int) -> NDArray[np.int64]:
-    """Return the indices of pairs that are likelier than not, the likeliest first, each edge in one pair only."""
+def one_to_one(pairs: Indices, odds: Array, firsts: int, seconds: int) -> Indices:
+    """Return the indices (M,) of pairs that are likelier than not, the likeliest first, each edge in one pair only."""
     first_taken, second_taken = np.zeros(firsts, dtype=np.bool_), np.zeros(seconds, dtype=np.bool_)
     chosen = np.empty(min(firsts, seconds), dtype=np.int64)
     count = 0
@@ -270,22 +252,14 @@ def eliminate(matrix: Array, count: int) -> None:
 
 @part
 def _equations(
-    one: Sights,
-    two: Sights,
-    link: NDArray[np.int64],
-    edge: Array,
-    camera: tuple[float, float, Array],
-    unknown: Array,
-    floor: float,
-    uneven: float,
-    rows: Array,
+    images: TwoImages, p: int, edge: Array, moved: tuple[float, float, Array], unknown: Array, floor: float, rows: Array
 ) -> None:
-    """Set the five equations of one edge (5, 2 + U + 1), in sigmas: by the edge, by what all share, residuals.
+    """Set the five equations of a pair (5, 2 + U + 1), in sigmas: by its edge, by what all share, residuals.
 
-    Bearing and inverse range in the first frame, the same in the second, and that the inverse range is a typical one.
+    Bearing and inverse range in the first image, the same in the second, and that the inverse range is a typical one.
     An equation is 0 where nothing is measured.
     """
-    x, z, by_twist = camera
+    x, z, by_twist = moved
     for r in range(5):
         for k in range(rows.shape[1]):
             rows[r, k] = 0.0
@@ -293,12 +267,12 @@ def _equations(
     seen, inverse = _seen_with_slopes(edge[0], edge[1], x, z, unknown[2], by_twist, rows[2:4])
     expected = (edge[0], edge[1], seen, inverse)
     for r in range(4):
-        frame, e, column = one if r < 2 else two, link[r // 2], r % 2
-        measured, common, variance = frame.measured[e, column], frame.common[e, column], frame.sigma[e, column] ** 2
+        image, e, column = images.one if r < 2 else images.two, images.pairs[p, r // 2], r % 2
+        measured, common, variance = image.measured[e, column], image.common[e, column], image.sigma[e, column] ** 2
         weight, residual = 1.0, measured - expected[r]
         if column == 1:
-            # A foot's own height is wrong in both frames alike; taken as two independent errors of twice the variance.
-            weight, variance = floor, variance + 2.0 * (uneven * measured) ** 2
+            # A foot's own height is wrong in both images alike; taken as two independent errors of twice the variance.
+            weight, variance = floor, variance + 2.0 * (images.uneven * measured) ** 2
         if r == 2:
             residual = _wrapped(residual)
         scale, rows[r, -1] = np.sqrt(weight / variance), residual - _dot(common, unknown[3:])
@@ -313,35 +287,24 @@ def _equations(
 
 @compiled
 def solve(  # noqa: PLR0912  (one unknown after another)
-    one: Sights,
-    two: Sights,
-    pairs: NDArray[np.int64],
-    chosen: NDArray[np.int64],
-    weight: Array,
-    floor: Array,
-    start: Array,
-    mean: Array,
-    information: Array,
-    mount: Array,
-    uneven: float,
+    images: TwoImages, chosen: Indices, weight: Array, floor: Array, start: Array, mean: Array, information: Array
 ) -> tuple[Array, Array]:
-    """Return twist, common errors and typical range (U,) that explain the chosen pairs (M,) best, and their covariance.
+    """Return the unknowns (U,) that explain the chosen pairs (M,) best, and their covariance (U, U or more).
 
     weight, floor: (M,) 0 … 1, of a pair, and of its ends being feet. start: (3 or more,) twist, for Gauss-Newton. mean,
-    information: (U,), (U, U) beforehand. uneven: see `refine`.
+    information: (U,), (U, U) beforehand.
 
-    Unknown are the twist, the K common errors, the typical inverse range μ, and of every edge bearing and inverse range
-    (b, ρ). The latter appear in five equations only (bearing and foot in both frames; ρ ~ N(μ, spread²)), and are
-    eliminated one edge after the other, so that a handful of unknowns is left however many edges there are.
+    Unknown are also bearing and inverse range (b, ρ) of every edge. They appear in five equations only (bearing and
+    foot in both images; ρ ~ N(μ, spread²), μ the typical one), and are eliminated one edge after the other, so that a
+    handful of unknowns is left however many edges there are.
     """
     count, size = len(chosen), len(mean)
     unknown, edge = mean.copy(), np.empty((count, 2))
-    for k in range(3):
-        unknown[k] = start[k]
+    unknown[:3] = start[:3]
     for m in range(count):
-        e, f = pairs[chosen[m], 0], pairs[chosen[m], 1]
-        foot = two.measured[f, 1] if np.isnan(one.measured[e, 1]) else one.measured[e, 1]
-        edge[m, 0] = one.measured[e, 0]
+        one, two = images.one.measured[images.pairs[chosen[m], 0]], images.two.measured[images.pairs[chosen[m], 1]]
+        foot = two[1] if np.isnan(one[1]) else one[1]
+        edge[m, 0] = one[0]
         edge[m, 1] = TYPICAL_INVERSE_RANGE if np.isnan(foot) or floor[m] < 0.5 else foot
     rows, own, total = np.empty((5, size + 3)), np.empty((count, size + 2, size + 3)), np.empty((size, size + 1))
     for _ in range(_STEPS):
@@ -350,9 +313,9 @@ def solve(  # noqa: PLR0912  (one unknown after another)
             for j in range(size):
                 total[i, j] = information[i, j]
                 total[i, size] += information[i, j] * (mean[j] - unknown[j])
-        camera = camera_moved(unknown, mount)
+        moved = camera_moved(unknown, images.mount)
         for m in range(count):
-            _equations(one, two, pairs[chosen[m]], edge[m], camera, unknown, floor[m], uneven, rows)
+            _equations(images, chosen[m], edge[m], moved, unknown, floor[m], rows)
             for i in range(size + 2):
                 for j in range(size + 3):
                     own[m, i, j] = 0.0
@@ -383,31 +346,25 @@ def solve(  # noqa: PLR0912  (one unknown after another)
 
 @compiled
 def refine(
-    pairs: NDArray[np.int64],
-    look: Array,
-    usable: NDArray[np.bool_],
-    one: Sights,
-    two: Sights,
-    mount: Array,
-    model: tuple[float, float],
-    mean: Array,
-    information: Array,
-    on_floor: bool,
-    start: Array,
-    start_cov: Array,
-) -> tuple[Array, Array, NDArray[np.int64], Array]:
-    """Return what pairing edges and solving in turns leads to, from a start (U,) that is as certain as start_cov.
+    images: TwoImages, usable: NDArray[np.bool_], prior: Array, information: Array, on_floor: bool, start: Array
+) -> tuple[Array, Array, Indices, Array]:
+    """Return what pairing edges and solving in turns leads to, from a twist `start` (3,).
 
-    Twist, common errors and typical inverse range (U,), their covariance (U, U or more), indices of the pairs chosen
-    (M,), and their log-likelihoods (M,). mean, information: (U,), (U, U) beforehand. on_floor: whether lower ends may
-    be feet. model: sigma of the height of feet, each its own, over the camera's height; density of the second bearing
-    of an edge that is new, over the odds that it is not.
+    Twist (3,), its covariance (3, 3), indices of the pairs chosen (M,), and their log-likelihoods (M,). usable: (P,)
+    whether a pair is. prior, information: mean (3,) and inverse covariance (3, 3) of the twist. on_floor: whether lower
+    ends may be feet.
     """
-    unknown, cov = start, start_cov
+    size = 4 + images.one.common.shape[2]
+    mean, whole, unknown, cov = np.zeros(size), np.eye(size), np.zeros(size), np.eye(size)
+    mean[:3], whole[:3, :3], unknown[:3] = prior, information, start
+    mean[-1], whole[-1, -1] = TYPICAL_INVERSE_RANGE, TYPICAL_INFORMATION
+    for k in range(3):
+        cov[k, k] = START_SIGMA[k] ** 2
     chosen, log_likelihood = np.empty(0, dtype=np.int64), np.empty(0)
     for _ in range(_ROUNDS):
-        odds = pair_odds(pairs, look, usable, one, two, unknown, cov, mount, model, on_floor)
-        previous, chosen = chosen, one_to_one(pairs, odds[:, 0], len(one.measured), len(two.measured))
+        odds = pair_odds(images, usable, unknown, cov, on_floor)
+        firsts, seconds = len(images.one.measured), len(images.two.measured)
+        previous, chosen = chosen, one_to_one(images.pairs, odds[:, 0], firsts, seconds)
         count, before = len(chosen), unknown
         if count == 0:
             break
@@ -418,9 +375,9 @@ def refine(
             log_likelihood[m], floor[m] = np.log1p(odds[p, 0]), odds[p, 1]
             weight[m] = odds[p, 0] / (1.0 + odds[p, 0])
             settled = settled and previous[m] == p
-        unknown, cov = solve(one, two, pairs, chosen, weight, floor, before, mean, information, mount, model[0])
+        unknown, cov = solve(images, chosen, weight, floor, before, mean, whole)
         for k in range(3):
             settled = settled and abs(unknown[k] - before[k]) < 0.1 * np.sqrt(cov[k, k])
         if settled:
             break
-    return unknown, cov, chosen, log_likelihood
+    return unknown[:3], cov[:3, :3], chosen, log_likelihood

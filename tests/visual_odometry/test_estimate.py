@@ -19,19 +19,20 @@ from localiser.filter import mcl
 from localiser.geometry import Array, compose
 from localiser.landmarks import LandmarkMap
 from localiser.observation import EdgeObservation, ObservationParameters
-from localiser.visual_odometry import Belief, Followed, Frames, Gaussian, Odometer, VisualOdometryParameters, follow
+from localiser.visual_odometry import Gaussian, Odometer, TwoImages, VisualOdometryParameters, likely_twists
 from localiser.visual_odometry import twist_kernel as loops
-from localiser.visual_odometry.estimate import at_least, mixture, motion_gaussian, twist_gaussian
-from localiser.visual_odometry.sights import TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, Sights
+from localiser.visual_odometry.estimate import at_least, follow, mixture, motion_gaussian, twist_gaussian
+from localiser.visual_odometry.two_images import TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, SeenEdges
 from paper.slopes import depth_from_slopes, lean_from_slope, rotation_from_slopes
 
 ANYTHING = VisualOdometryParameters().twist(None, 0.2)
 
 
-def followed(before: Edges, after: Edges) -> Followed:
-    """Return the motion between two frames of which nothing is known but that 0.2 s passed."""
-    frames = Frames.of(before, after, CAMERA)
-    return follow(frames, [Belief(ANYTHING, frames.likely_motions(ANYTHING))])
+def followed(before: Edges, after: Edges) -> tuple[Gaussian, Array]:
+    """Return the motion in 0.2 s of which nothing is known but two images, and the pairs of edges (M, 2)."""
+    images = TwoImages.of(before, after, CAMERA)
+    found = follow(images, likely_twists(images, ANYTHING), [(ANYTHING, 0.0)])
+    return motion_gaussian(found.twist), images.pairs[found.chosen]
 
 
 def motion_of(twist: Array) -> Array:
@@ -89,16 +90,14 @@ def test_twists_are_motions_along_arcs(twist: Array) -> None:
     np.testing.assert_allclose(there_and_back.cov, cov, atol=1e-12)
 
 
-def solved(
-    one: Sights, two: Sights, weight: Array, floor: Array, start: Array, prior: Gaussian, mount: Array, uneven: float
-) -> tuple[Array, Array]:
-    """Return what least squares make of edges of two frames that are in the same order."""
-    count, size = len(weight), 4 + one.common.shape[2]
+def solved(images: TwoImages, weight: Array, floor: Array, start: Array, prior: Gaussian) -> tuple[Array, Array]:
+    """Return what least squares make of edges of two images that are in the same order."""
+    count, size = len(weight), 4 + images.one.common.shape[2]
     mean, information = np.zeros(size), np.eye(size)
     mean[:3], mean[-1] = prior.mean, TYPICAL_INVERSE_RANGE
     information[:3, :3], information[-1, -1] = np.linalg.inv(prior.cov), TYPICAL_SPREAD**-2
     pairs = np.stack([np.arange(count)] * 2, axis=-1)
-    return loops.solve(one, two, pairs, np.arange(count), weight, floor, start, mean, information, mount, uneven)
+    return loops.solve(images._replace(pairs=pairs), np.arange(count), weight, floor, start, mean, information)
 
 
 BY_WHEELS = Gaussian(np.array([0.0, -0.096, 0.09]), np.diag([1e-3, 9e-3, 0.01]) ** 2)
@@ -110,11 +109,11 @@ def test_least_squares_agrees_with_a_general_solver(floor: float, prior: Gaussia
     from scipy.optimize import least_squares
 
     rng, true = np.random.default_rng(11), np.array([0.01, -0.1, 0.08])
-    frames = Frames.of(edges_from(np.zeros(3), rng), edges_from(motion_of(true), rng), CAMERA)
-    one, two, mount, uneven = frames.one, frames.two, frames.mount, frames.model[0]
+    images = TwoImages.of(edges_from(np.zeros(3), rng), edges_from(motion_of(true), rng), CAMERA)
+    one, two, mount, uneven = images.one, images.two, images.mount, images.uneven
     count, terms = len(POINTS), one.common.shape[2]
     weight = rng.uniform(0.3, 1.0, count)
-    found, cov = solved(one, two, weight, np.full(count, floor), true, prior, mount, uneven)
+    found, cov = solved(images, weight, np.full(count, floor), true, prior)
     root = np.linalg.cholesky(np.linalg.inv(prior.cov)).T
 
     def cost(unknown: Array) -> Array:
@@ -161,14 +160,15 @@ def test_without_feet_the_turn_on_a_known_way_is_as_exact_as_theory_has_it() -> 
         x, z, _ = loops.camera_moved(np.append(way[:2], turn), mount)
         seen = np.array([loops.seen_from(b, rho, x, z, turn)[0] for b, rho in zip(bearing, inverse, strict=True)])
         one, two = (
-            Sights(
+            SeenEdges(
                 np.stack([angle + bearing_sigma * rng.standard_normal(count), none], axis=-1),
                 np.stack([np.full(count, bearing_sigma), none], axis=-1),
                 np.zeros((count, 2, 1)),
             )
             for angle in (bearing, seen)
         )
-        found, cov = solved(one, two, share, 0.0 * share, way, prior, mount, 0.0)
+        images = TwoImages(one, two, np.zeros((0, 2), np.int64), share, mount, 0.0, 1.0)
+        found, cov = solved(images, share, 0.0 * share, way, prior)
         slope = -(np.cos(bearing) * x + np.sin(bearing) * z)
         error_cov = 2 * bearing_sigma**2 * np.eye(count)
         error_cov += TYPICAL_SPREAD**2 * (np.diag(slope**2) + np.outer(slope, slope))
@@ -183,13 +183,13 @@ def test_without_feet_the_turn_on_a_known_way_is_as_exact_as_theory_has_it() -> 
 def test_motion_is_found_with_no_idea_beforehand(motion: list[float]) -> None:
     rng = np.random.default_rng(3)
     before, after = edges_from(np.zeros(3), rng), edges_from(np.array(motion), rng)
-    found = followed(before, after)
-    first, second = Frames.of(before, after, CAMERA).pairs[found.chosen].T
+    found, pairs = followed(before, after)
+    first, second = pairs.T
     np.testing.assert_array_equal(first, second)
     assert len(first) >= 8
-    assert (np.abs(found.motion.mean - motion) < 5 * np.sqrt(np.diag(found.motion.cov))).all()
-    assert abs(found.motion.mean[2] - motion[2]) < np.radians(0.1)
-    assert np.sqrt(np.diag(found.motion.cov))[:2].max() < 0.03
+    assert (np.abs(found.mean - motion) < 5 * np.sqrt(np.diag(found.cov))).all()
+    assert abs(found.mean[2] - motion[2]) < np.radians(0.1)
+    assert np.sqrt(np.diag(found.cov))[:2].max() < 0.03
 
 
 def test_clutter_and_edges_that_hang_in_the_air_do_not_mislead() -> None:
@@ -205,23 +205,23 @@ def test_clutter_and_edges_that_hang_in_the_air_do_not_mislead() -> None:
         name: np.concatenate([getattr(after, name), getattr(new, name)])
         for name in ("polarity", "foot_range_m", "foot_range_sigma_m", "profile")
     }
-    found = followed(before, Edges.from_columns(**both, **more))
-    assert abs(found.motion.mean[2] - motion[2]) < np.radians(0.1)
-    np.testing.assert_allclose(found.motion.mean[:2], motion[:2], atol=0.02)
+    found, _ = followed(before, Edges.from_columns(**both, **more))
+    assert abs(found.mean[2] - motion[2]) < np.radians(0.1)
+    np.testing.assert_allclose(found.mean[:2], motion[:2], atol=0.02)
 
 
 def test_what_edges_do_not_tell_stays_as_uncertain_as_before() -> None:
     rng = np.random.default_rng(5)
     prior = np.sqrt(np.diag(ANYTHING.cov))
-    none = followed(Edges.none(), edges_from(np.zeros(3), rng))
-    np.testing.assert_allclose(none.motion.cov, ANYTHING.cov)
+    none, _ = followed(Edges.none(), edges_from(np.zeros(3), rng))
+    np.testing.assert_allclose(none.cov, ANYTHING.cov)
     motion = np.array([0.0, -0.1, 0.02])
     ahead = geometry.map_from_robot(CAMERA.robot_from_level, np.array([[0.0, -4.0]]))
-    one = followed(edges_from(np.zeros(3), rng, ahead), edges_from(motion, rng, ahead))
-    assert (np.sqrt(np.diag(one.motion.cov))[:2] > 0.3 * prior[:2]).all()
-    blind = followed(edges_from(np.zeros(3), rng, feet=False), edges_from(motion, rng, feet=False))
-    known = followed(edges_from(np.zeros(3), rng), edges_from(motion, rng))
-    assert np.sqrt(blind.motion.cov[1, 1]) > 5 * np.sqrt(known.motion.cov[1, 1])
+    one, _ = followed(edges_from(np.zeros(3), rng, ahead), edges_from(motion, rng, ahead))
+    assert (np.sqrt(np.diag(one.cov))[:2] > 0.3 * prior[:2]).all()
+    blind, _ = followed(edges_from(np.zeros(3), rng, feet=False), edges_from(motion, rng, feet=False))
+    known, _ = followed(edges_from(np.zeros(3), rng), edges_from(motion, rng))
+    assert np.sqrt(blind.cov[1, 1]) > 5 * np.sqrt(known.cov[1, 1])
 
 
 def test_what_hangs_on_a_wall_near_by_is_not_taken_for_far_edges() -> None:
@@ -235,10 +235,10 @@ def test_what_hangs_on_a_wall_near_by_is_not_taken_for_far_edges() -> None:
         for edges in (before, after):
             edges.foot_range_m[:] /= seen_share
             edges.foot_range_sigma_m[:] = INVERSE_SIGMA * edges.foot_range_m**2
-        found = followed(before, after)
-        assert len(found.chosen) >= 6
-        error = found.motion.mean - motion
-        misses.append(error @ np.linalg.solve(found.motion.cov, error))
+        found, pairs = followed(before, after)
+        assert len(pairs) >= 6
+        error = found.mean - motion
+        misses.append(error @ np.linalg.solve(found.cov, error))
     assert np.mean(misses) < 9.0
 
 
@@ -246,9 +246,9 @@ def test_edges_that_the_border_cuts_off_have_no_foot() -> None:
     edges = edges_from(np.zeros(3), np.random.default_rng(9))
     rows = np.linspace(300.0, 475.0, len(edges))
     edges.ends_px[:, 0] = np.stack([np.full(len(edges), 320.0), rows], axis=-1)
-    np.testing.assert_array_equal(np.isnan(Sights.of(edges, CAMERA).measured[:, 1]), rows > 471.0)
+    np.testing.assert_array_equal(np.isnan(SeenEdges.of(edges, CAMERA).measured[:, 1]), rows > 471.0)
     edges.ends_px[:] = np.nan
-    assert np.isfinite(Sights.of(edges, CAMERA).measured[:, 1]).all()
+    assert np.isfinite(SeenEdges.of(edges, CAMERA).measured[:, 1]).all()
 
 
 VISION = Odometer(CAMERA, VisualOdometryParameters(source="vision"))
