@@ -104,7 +104,7 @@ def config_show(config: ConfigFile = None, overrides: Overrides = None) -> None:
 
 
 _NETWORK = ("live", "live demo", "doctor", "simulate", "pose")
-_MAPS = ("map build", "map show", "map plan", "map check", "map merge", "map update")
+_MAPS = ("map build", "map show", "map plan", "map check", "map merge", "map update", "map align")
 _GONE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("--connect", "is a setting now: --set live.connect=ENDPOINT", _NETWORK[1:]),
     ("--dds", "is a setting now: --set live.dds=DOMAIN", _NETWORK[1:]),
@@ -148,12 +148,30 @@ _GONE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("--picture", "is gone: `localiser edges LOG` draws the edges of images", ("doctor",)),
     ("--at", "is gone: `localiser map check MAP` tells how many landmarks are in view where", ("doctor",)),
     ("--report", "is gone: `localiser replay` with the settings of a run draws its report", ("batch",)),
+    ("--names", "is gone: topics are named as rmw_zenoh does; by --set live.dds=DOMAIN they are DDS's", _NETWORK),
+    ("--plot", "is gone: -o LOG writes a new log with what was found", ("camera tilt", "camera sync")),
+    ("--config", "is gone: a map is checked by its camera and its landmarks alone", ("map check",)),
+    ("--set", "is gone: a map is checked by its camera and its landmarks alone", ("map check",)),
 )
 """Options that are settings now or gone, what to do instead, and of which commands they were."""
+_GONE_COMMANDS = {
+    "example": "`localiser demo --keep FOLDER`",
+    "paper": "`python -m paper` in a clone of the project",
+    "config schema": "`localiser config show`",
+    "camera board": "`localiser camera calibrate --draw-board FILE.png`",
+    "map draw": "`localiser map show MAP -o PNG`",
+    "map deduplicate": "`localiser map merge MAP`",
+    "odometry marks": "`localiser odometry fit LOG` of a log with true poses",
+} | dict.fromkeys(
+    ("map add", "map remove", "map move", "map export"), "any editor or reader of YAML: a map is a file of it"
+)
 
 
 def _check_options(arguments: list[str]) -> None:
-    """Raise InputError for an option that has become a setting or is gone, with what to do instead."""
+    """Raise InputError for a command or option that is gone or has become a setting, with what to do instead."""
+    for gone, instead in _GONE_COMMANDS.items():
+        if arguments[: gone.count(" ") + 1] == gone.split():
+            raise InputError(f"is gone: use {instead}", field=gone)
     has_two_words = arguments[:1] in (["camera"], ["map"]) or arguments[:2] == ["live", "demo"]
     command = " ".join(arguments[: 2 if has_two_words else 1])
     given = {argument.partition("=")[0] for argument in arguments}

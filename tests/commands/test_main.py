@@ -421,6 +421,9 @@ def test_a_video_whose_name_is_no_text_is_told(localiser: Localiser, tmp_path: P
         (("replay", "log", "--format", "bag"), "--format: is gone: the format is found out"),
         (("camera", "tilt", "log", "--format=bag"), "--format: is gone: the format is found out"),
         (("convert", "log", "out", "--to", "mcap"), "--to: is gone: OUT says it by .mcap"),
+        (("map", "align", "a.yaml", "b.yaml", "--force"), "--force: is gone: nothing that exists is overwritten"),
+        (("map", "deduplicate", "map.yaml"), "map deduplicate: is gone: use `localiser map merge MAP`"),
+        (("example",), "example: is gone: use `localiser demo --keep FOLDER`"),
     ],
 )
 def test_an_option_that_is_gone_is_told_with_what_takes_its_place(localiser, words, told):
