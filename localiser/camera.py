@@ -1,9 +1,8 @@
 """The camera: pixels to rays, lines to lean and bearing with their sigmas, floor contact.
 
-There are three frames in addition to pixels. *Image*: (a, e), normalised and undistorted, a right and e up. *Upright
-image*: the same with the roll undone, so that the equations of `geometry` hold. *Level*: at the camera, axes (x right,
-y up, z backward) with tilt and roll undone; it differs from the robot frame by the mount's yaw and offset. Bearings are
-in the level frame: measured from the camera's forward axis, at the camera's position.
+Frames besides pixels. *Image*: (a, e), normalised and undistorted, a right and e up. *Upright image*: the same with the
+roll undone, so that the equations of `geometry` hold. *Level*: at the camera, axes (x right, y up, z backward) with
+tilt and roll undone; it differs from the robot frame by the mount's yaw and offset. Bearings are in the level frame.
 """
 
 from __future__ import annotations
@@ -41,8 +40,7 @@ class Mount:
 
     tilt_rad: positive looks down. roll_rad: positive has the camera's right side down. height_m: above the floor.
     right_m, back_m: from the robot's centre (15 cm ahead of it: back_m = -0.15). sigma: of a mount that was measured
-    for one image; its errors are then of this image alone. None: errors of tilt and roll are as the configuration says.
-    They change slowly, and those of the usual mount are learnt.
+    for one image; its errors are then of this image alone. None: as the configuration says; they are learnt.
     """
 
     tilt_rad: float
@@ -56,10 +54,7 @@ class Mount:
 
 @dataclass(frozen=True, slots=True)
 class RollingShutter:
-    """Rows are taken one after another, row_time_s apart; negative: from the bottom up.
-
-    stamp_row: the row, counted from 0 at the top, that is taken at the image's time stamp.
-    """
+    """Rows are taken row_time_s apart; negative: from the bottom up. stamp_row: that of the image's time stamp."""
 
     row_time_s: float
     stamp_row: float = 0.0
@@ -71,10 +66,7 @@ class RollingShutter:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics (pixels, centre of the top-left pixel is (0, 0)), lens distortion as in ROS, and the mount.
-
-    shutter: None where all rows are taken at once.
-    """
+    """Intrinsics (pixels), lens distortion as in ROS, and the mount. shutter: None where all rows are taken at once."""
 
     width: int
     height: int
@@ -139,10 +131,8 @@ class Camera:
     @property
     def readout_s(self) -> tuple[float, float]:
         """When the earliest and the latest row of an image are taken, after its time stamp; 0 where all are at once."""
-        if self.shutter is None:
-            return 0.0, 0.0
-        ends = self.shutter.since_stamp_s([0, self.height - 1])
-        return float(ends.min()), float(ends.max())
+        first, last = (0.0, 0.0) if self.shutter is None else self.shutter.since_stamp_s([0, self.height - 1]).tolist()
+        return min(first, last), max(first, last)
 
     def twist_at(self, track: Trajectory, t_ns: int) -> Twist | None:
         """Return how a robot on this track moves while an image of that time is taken; None where that is at once."""
@@ -183,8 +173,7 @@ class Camera:
     def lens_radius(self) -> float:
         """The normalised distance from the image centre up to which the lens model is one to one; inf if everywhere.
 
-        A polynomial such as 1 + k1 r² with k1 < 0 turns back at some radius: beyond it, points far outside the field
-        of view would land inside the image again.
+        Where a polynomial turns back, points far outside the field of view would land inside the image again.
         """
         axes = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         radii = np.linspace(0.0, 10.0, 2001)
@@ -270,17 +259,15 @@ class Camera:
         return geometry.wrap_half_turn(np.arctan2(across, up))
 
     def bearing_of_segments(self, ends_px: ArrayLike) -> Array:
-        """Return the bearing (E,) of segments (E, 2, 2) held through the nadir point.
-
-        The least-squares line through the nadir point weighs each end by its squared distance from that point, which
-        is proportional to (c + e s)²; it also holds when the tilt is 0 and the nadir point is infinitely far.
-        """
+        """Return the bearing (E,) of segments (E, 2, 2) held through the nadir point."""
         return self.bearings_of_segments(ends_px, 0.0)[0]
 
     def bearings_of_segments(self, ends_px: ArrayLike, endpoint_sigma_px: ArrayLike) -> tuple[Array, Array]:
         """Return `bearing_of_segments` (E,), and its sigma (E,) for ends that err by sigma (E,) across the line.
 
-        The sigma is J σ / √(2 D² + L²/2) of design equation 7, written so that it also holds for a tilt of 0.
+        The least-squares line through the nadir point weighs each end by its squared distance from that point, which
+        is proportional to (c + e s)². The sigma is J σ / √(2 D² + L²/2) of design equation 7. Both are written so that
+        they also hold for a tilt of 0, of which the nadir point is infinitely far.
         """
         ends = self.upright_from_pixels(ends_px)
         from_nadir = np.cos(self.mount.tilt_rad) + ends[..., 1] * np.sin(self.mount.tilt_rad)
@@ -300,9 +287,8 @@ class Camera:
         b, e = np.asarray(bearing_rad, dtype=np.float64), np.asarray(middle_e, dtype=np.float64)
         tilt = self.mount.tilt_rad
         s, c = np.sin(tilt), np.cos(tilt)
-        if abs(s) < 1e-12:
-            from_lean = np.full((*b.shape, 2), np.nan)
-        else:
+        from_lean = np.full((*b.shape, 2), np.nan)
+        if abs(s) >= 1e-12:
             per_tilt = -0.5 * np.sin(2 * b) * c / s
             from_lean = np.stack([per_tilt, geometry.bearing_per_lean(b, tilt)], axis=-1)
         # tan b = a / (c + e s). Tilt: moves c + e s by (e c - s). Roll by dρ: (a, e) -> (a + e dρ, e - a dρ).

@@ -21,18 +21,12 @@ from localiser.edges.views import ROWS_AT_ONCE, ROWS_PER_BLOCK, Image, column_vi
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
-SCALE_PX = 1.0
-"""The image is filtered by the derivative of a Gaussian of this width: edges 3 px apart stay apart."""
-ALONG = np.array([1.0, 2.0, 2.0, 2.0, 1.0]) / 8
-"""Weights of the average over neighbouring blocks in which peaks are looked for."""
-PEAK_SIGMA = 3.0
-"""Least height of a peak over the noise; the chain of peaks is judged as a whole afterwards."""
-_LEAST_NOISE_GREY = 1 / np.sqrt(12.0)
-"""Rounding to 8 bits alone is as noisy as this."""
-_CLUTTER_BLOCKS, _CLUTTER_COLUMNS = 5, 17
-"""Size of the surroundings that tell how much texture an edge must stand out from."""
-_CLUTTER_WEIGHT = 6.0
-"""Texture is no white noise: it goes on from block to block, so that averaging removes less of it."""
+SCALE_PX = 1.0  # the image is filtered by the derivative of a Gaussian of this width: edges 3 px apart stay apart
+ALONG = np.array([1.0, 2.0, 2.0, 2.0, 1.0]) / 8  # weights of the blocks in which peaks are looked for
+PEAK_SIGMA = 3.0  # least height of a peak over the noise; the chain of peaks is judged as a whole afterwards
+_LEAST_NOISE_GREY = 1 / np.sqrt(12.0)  # rounding to 8 bits alone is as noisy as this
+_CLUTTER_BLOCKS, _CLUTTER_COLUMNS = 5, 17  # surroundings that tell how much texture an edge must stand out from
+_CLUTTER_WEIGHT = 6.0  # texture is no white noise: it goes on from block to block, so that averaging removes less of it
 _CHANGE_OF_NOISE = (3 - np.sqrt(3.0)) / np.sqrt(np.pi)
 """Mean of the smaller of two neighbouring differences of white noise of sigma 1: min = |x| + |y| - max."""
 
@@ -44,8 +38,7 @@ def _gradient_kernel() -> NDArray[np.float32]:
     return np.asarray(kernel / (kernel @ x), dtype=np.float32)
 
 
-KERNEL = _gradient_kernel()
-"""The derivative of a Gaussian (K,), such that a ramp of 1 grey level per px gives 1."""
+KERNEL = _gradient_kernel()  # the derivative of a Gaussian (K,), such that a ramp of 1 grey level per px gives 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

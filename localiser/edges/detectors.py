@@ -112,18 +112,12 @@ class EdgeParameters:
 
 # -- nearly vertical lines, along the columns of the rectified image -------------------------------------------------
 
-_SAME_EDGE_SHARE = 0.25
-"""Where the gradient falls below this share of its mean, the edge has ended or is hidden."""
-_BLURRED_STEEPNESS = 0.85
-"""Of a sharp edge, the gradient at twice the scale is half as steep; of one blurred by 7 px of motion, this."""
-_SHARPEST = 0.1
-"""The fraction of lines that are as sharp as the camera can see; a few are narrower, squeezed by a neighbour."""
-_SOFT = 2.0
-"""A slope so many times wider than the sharpest ones is no edge."""
-_IN_FOCUS_PX = float(np.hypot(SCALE_PX, 1.1))
-"""Width of the slope of an edge, at `SCALE_PX`, in an image that is in focus: lens, pixels and the remap blur it."""
-_LEAST_HALVED_PX = 200
-"""Images smaller than this are not halved: too little would remain."""
+_SAME_EDGE_SHARE = 0.25  # where the gradient falls below this share of its mean, the edge has ended or is hidden
+_BLURRED_STEEPNESS = 0.85  # of a gradient at twice the scale; sharp edges have half, those blurred by 7 px this
+_SHARPEST = 0.1  # of all lines are as sharp as the camera can see; few are narrower, squeezed by a neighbour
+_SOFT = 2.0  # a slope so many times wider than the sharpest ones is no edge
+_IN_FOCUS_PX = float(np.hypot(SCALE_PX, 1.1))  # width of an edge's slope: lens, pixels and the remap blur it
+_LEAST_HALVED_PX = 200  # images smaller than this are not halved: too little would remain
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,19 +233,14 @@ def _extent(height: Array, on: NDArray[np.bool_], cells: Cells) -> tuple[Array, 
 
 # -- lines at any angle: LSD, and Canny with Hough's transform as the paper has it ------------------------------------
 
-LSD_SIGMA_PX = 0.35
-"""Error of an end of an LSD segment across the line, measured against exact edges."""
+LSD_SIGMA_PX = 0.35  # error of an end of an LSD segment across the line, measured against exact edges
 LSD_SHIFT_PX = 0.125
 """OpenCV divides positions in LSD's image of scale 0.8 by 0.8, without shifting for the centres of the pixels:
 (x + 1/2) / 0.8 instead of (x + 1) / 0.8 - 1/2 for a gradient between x and x + 1."""
-HOUGH_SIGMA_PX = 0.7
-"""Error of an end of a Hough segment across the line: its points are whole pixels."""
-_LARGEST_GROWTH = 2.0
-"""Limit of the ideal image's size over the taken one's; a wide lens sees what no sensible flat image can hold."""
-_MARGIN_PX = 3
-"""Pixels of the ideal image that are closer than this to one without content are not used."""
-_BORDER_SHARE = 0.5
-"""A segment is the border of the field of view if more than this fraction of it runs along that border."""
+HOUGH_SIGMA_PX = 0.7  # error of an end of a Hough segment across the line: its points are whole pixels
+_LARGEST_GROWTH = 2.0  # limit of the ideal image's size over the taken one's, for wide lenses
+_MARGIN_PX = 3  # pixels of the ideal image that are closer than this to one without content are not used
+_BORDER_SHARE = 0.5  # a segment of which more runs along the border of the field of view is that border
 
 
 def lsd(image: Image, camera: Camera, /) -> Segments:

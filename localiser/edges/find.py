@@ -23,8 +23,7 @@ from localiser.geometry.compiled import compiled
 from localiser.image_files import decode
 from localiser.markers import sides_of_markers
 
-END_SIGMA_PX, _MARKER_SIGMA_PX = 0.5, 0.3
-"""Error of an end across the line, for detectors that do not state it; the same of a marker's corner."""
+END_SIGMA_PX, _MARKER_SIGMA_PX = 0.5, 0.3  # of an end across the line, if not stated; of a marker's corner
 
 
 def find_edges(
@@ -132,16 +131,11 @@ def grey_image(image: Image, camera: Camera) -> Image:
 
 # -- which segments are vertical edges, and which of those are one edge ----------------------------------------------
 
-_ABOVE_NADIR = 0.05
-"""Least c + e s of an edge's ends: closer to the nadir point, or below it, a line tells no bearing ahead."""
-_VAGUE_RAD = 0.5
-"""A segment so short that it would pass in nearly any direction proves nothing."""
-REACH_RAD = float(np.arctan(1 / 8))
-"""How far from vertical `columns` looks, a column a block."""
-_BESIDE_SHARE = 0.5
-"""Segments that have more than this fraction of the shorter one's height in common are side by side."""
-_RESOLVED_PX = 1.5
-"""Segments side by side that are closer than this are one edge that was found twice."""
+_ABOVE_NADIR = 0.05  # least c + e s of an edge's ends: nearer to the nadir point, a line tells no bearing ahead
+_VAGUE_RAD = 0.5  # a segment so short that it would pass in nearly any direction proves nothing
+REACH_RAD = float(np.arctan(1 / 8))  # how far from vertical `columns` looks, a column a block
+_BESIDE_SHARE = 0.5  # segments that have more than this fraction of the shorter one's height in common are side by side
+_RESOLVED_PX = 1.5  # segments side by side that are closer than this are one edge that was found twice
 
 
 def vertical_segments(
@@ -206,11 +200,9 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
 
 # -- how an image is exposed ------------------------------------------------------------------------------------------
 
-DARK_GREY = 64.0
-"""Where 95 % of the pixels are darker than this, noise covers faint edges."""
+DARK_GREY = 64.0  # where 95 % of the pixels are darker than this, noise covers faint edges
 SATURATED_GREY = 250
-WASHED_OUT = 0.4
-"""Fraction of saturated pixels from which on whole edges vanish in white."""
+WASHED_OUT = 0.4  # fraction of saturated pixels from which on whole edges vanish in white
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,10 +59,8 @@ class Groups:
 # -- lines through chains of peaks ------------------------------------------------------------------------------------
 
 LEAST_BLOCKS = 3
-_PRIOR_BLOCKS = 4.0
-"""As how many blocks of residuals the predicted noise counts, when a line's own scatter is judged."""
-_TUKEY = 4.0
-"""Blocks further from the line than this many sigmas have no say."""
+_PRIOR_BLOCKS = 4.0  # as how many blocks of residuals the predicted noise counts, when a line's own scatter is judged
+_TUKEY = 4.0  # blocks further from the line than this many sigmas have no say
 _SAMPLING_SIGMA_PX = {1: 0.03, 2: 0.01}
 """Error by pixels and by the remap, at `SCALE_PX` and at twice that: tables hold 1/32 px, and an edge that is sharper
 than a pixel has none of its own scale to be interpolated."""
@@ -72,8 +70,7 @@ _CLIPPED_SIGMA_PX = 1 / np.sqrt(12.0)
 """Where the lighter side is clipped, the fraction of the edge's pixel that it covers is unknown, and it changes along
 the edge with the light."""
 _MARGIN_BLOCKS = 2
-_ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)
-"""How far, in blocks squared, the average over neighbouring blocks reaches."""
+_ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)  # of that average's reach, in blocks squared
 _WIDTH_ITERATIONS = 4
 _LEAST_WIDTH_PX = 0.5 * SCALE_PX
 

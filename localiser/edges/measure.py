@@ -17,15 +17,12 @@ from localiser.edges.types import TURN_RATE, CommonError, Edges, Segments
 from localiser.edges.views import Image
 from localiser.geometry import UNKNOWN_TWIST, Array, Twist
 
-_TYPICAL_INVERSE_RANGE = 0.4
-"""1/m: rooms are some metres wide."""
+_TYPICAL_INVERSE_RANGE = 0.4  # 1/m: rooms are some metres wide
 
 # -- the foot ---------------------------------------------------------------------------------------------------------
 
-FOOT_SIGMA_PX = 2.0
-"""Error of an edge's lower end along the edge: where a line stops is far less certain than where it runs."""
-BORDER_PX = 4.0 * FOOT_SIGMA_PX
-"""An edge that is found to end this close to the image border may as well be cut off by it."""
+FOOT_SIGMA_PX = 2.0  # error of an edge's lower end along it: where a line stops is least certain
+BORDER_PX = 4.0 * FOOT_SIGMA_PX  # an edge that ends so close to the image border may be cut off by it
 
 
 def foot_of_edges(bottom_px: Array, camera: Camera, taken_px: Array | None = None) -> tuple[Array, Array]:
@@ -91,12 +88,9 @@ def polarity_of_profiles(profile: Array) -> NDArray[np.int8]:
 # time of the point's row. At 1 rad/s and 30 ms an image a vertical edge leans by 1.7° otherwise. The range is told by
 # an edge's lower end if it stands on the floor; it cannot be farther away than that.
 
-_INVERSE_RANGE_SIGMA = 0.3
-"""1/m: lower ends need not stand on the floor."""
-_STEP_RAD_S = 1e-3
-"""Change of the turn rate by which derivatives are taken."""
-_ITERATIONS = 4
-"""Of finding the row in which a point was taken; each is ten times closer at least up to 4 rad/s and 30 ms."""
+_INVERSE_RANGE_SIGMA = 0.3  # 1/m: lower ends need not stand on the floor
+_STEP_RAD_S = 1e-3  # change of the turn rate by which derivatives are taken
+_ITERATIONS = 4  # of finding a point's row, each ten times closer at least up to 4 rad/s and 30 ms
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,24 +13,17 @@ from localiser.edges.types import TURN_RATE, Edges, Segments
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
-_TUKEY = 4.0
-"""Segments further from the common direction than this many sigmas have no say."""
-_TUKEY_VARIANCE = 0.77
-"""Share of the variance of Gaussian errors that remains when they are weighed so."""
+_TUKEY = 4.0  # segments further from the common direction than this many sigmas have no say
+_TUKEY_VARIANCE = 0.77  # share of the variance of Gaussian errors that remains when they are weighed so
 _STRAIGHT_PX = 0.35
 """Error of an edge's ends across it that is none of measuring: real edges and lenses are no straighter. It turns a
 short edge far and a long one hardly, so that many short edges do not outvote few long ones."""
-_PRIOR_EDGES = 2.0
-"""As how many edges it counts that edges are as crooked as is stated, when an image's own say how crooked they are."""
-NEAR_RAD = np.radians(1.0)
-"""How far from the truth least squares may begin."""
-_GRID, _GRID_SIGMAS = 17, 2.5
-"""Steps of the grid to either side, and how many sigmas of the prior it covers."""
-_EVERY_RAD = np.radians(2.5)
-"""Range of directions over which a segment that is no vertical edge counts as spread."""
+_PRIOR_EDGES = 2.0  # edges, as which it counts that edges are as crooked as is stated
+NEAR_RAD = np.radians(1.0)  # how far from the truth least squares may begin
+_GRID, _GRID_SIGMAS = 17, 2.5  # steps of the grid to either side, and how many sigmas of the prior it covers
+_EVERY_RAD = np.radians(2.5)  # range of directions over which a segment that is no vertical edge counts as spread
 _FIRST_ITERATIONS, _SCATTER_ITERATIONS = 5, 30
-_SETTLED = 1e-5
-"""Changes of the factor on crookedness that are smaller than this fraction move nothing."""
+_SETTLED = 1e-5  # changes of the factor on crookedness that are smaller than this fraction move nothing
 LENS_SIGMA = 0.02
 """By what fraction of its distance from the principal point a lens of which no distortion is stated may move the
 image's corner: lenses of one or two per cent are sold as free of it."""

@@ -15,8 +15,7 @@ from localiser.camera import Camera, Mount
 from localiser.errors import InputError
 from localiser.geometry import Array, finite_numbers
 
-TURN_RATE = "turn rate"
-"""The name of the common error of a rolling shutter, rad/s: how fast the robot turned."""
+TURN_RATE = "turn rate"  # the name of the common error of a rolling shutter, rad/s: how fast the robot turned
 
 
 @dataclass(frozen=True, slots=True, eq=False)

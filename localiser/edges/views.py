@@ -17,8 +17,7 @@ from localiser.geometry.compiled import compiled
 
 Image = NDArray[np.uint8]
 
-_GRID_PX = 8
-"""Spacing of the grid on which lens models are computed; between, a cubic is off by less than tables round off."""
+_GRID_PX = 8  # spacing of the grid on which lens models are computed; a cubic between errs less than tables do
 
 
 @lru_cache(maxsize=8)
@@ -84,18 +83,12 @@ def _cubic_weights(count: int) -> Array:
 
 # -- with tilt and roll undone ----------------------------------------------------------------------------------------
 
-ROWS_AT_ONCE = 2
-"""Rows of the image that become one of the rectified one, averaged beforehand: half as much to look up."""
-ROWS_PER_BLOCK = 4
-"""The height of the rectified image is a multiple of this: rows that are averaged to one."""
-_AROUND_COLUMNS = 8
-"""Columns outside the visible part that are looked up too, because filters reach that far."""
-_WIDEST = 2.5
-"""Limit of the rectified width over the image's; only a view of the nadir point itself would want more."""
-_STEEPEST_TANGENT = 3.0
-"""Largest |tan b| that is kept (72°): vertical edges farther to the side cross the image's corner at most."""
-_LEAST_DEPTH = 0.05
-"""Least c + e s: nearer to the nadir point all bearings meet."""
+ROWS_AT_ONCE = 2  # rows of the image that become one of the rectified one, averaged beforehand: half as much to look up
+ROWS_PER_BLOCK = 4  # the height of the rectified image is a multiple of this: rows that are averaged to one
+_AROUND_COLUMNS = 8  # columns outside the visible part that are looked up too, because filters reach that far
+_WIDEST = 2.5  # limit of the rectified width over the image's; only a view of the nadir point itself would want more
+_STEEPEST_TANGENT = 3.0  # largest |tan b| (72°): edges farther to the side cross the image's corner at most
+_LEAST_DEPTH = 0.05  # least c + e s: nearer to the nadir point all bearings meet
 
 
 class Table(NamedTuple):

@@ -106,11 +106,7 @@ def between(start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def interpolate_pose(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> Array:
-    """Return the poses (..., 3) at fractions (...) of the way from `start` to `end` (..., 3), along the arcs.
-
-    The body twist is constant on the way, so a robot that drives a circle is found on the circle, not on its chord;
-    headings may lie on both sides of ±pi.
-    """
+    """Return the poses (..., 3) at fractions (...) of the way from `start` to `end` (..., 3), along arcs."""
     motion = between(start, end)
     return compose(start, arc_motion(arc_log(motion), motion[..., 2] * np.asarray(fraction), fraction))
 

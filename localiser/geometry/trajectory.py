@@ -46,8 +46,8 @@ def bridged(odometry: Trajectory) -> tuple[Trajectory, NDArray[np.int64]]:
     """Return poses of odometry without jumps, and the indices (J,) of the poses that are the first behind one.
 
     A base that restarts begins to count anew, so its pose jumps faster than any robot moves. There the robot is taken
-    to have gone on as in the step before, and poses behind the jump are moved along. Where a jump is the first step, or
-    the pace before it is no robot's, nothing is known of the motion, and the robot is taken to have stood still.
+    to have gone on as in the step before, or to have stood still where that is none or no robot's pace. Poses behind
+    the jump are moved along.
     """
     raw, seconds = odometry.poses, np.diff(odometry.t_ns) / 1e9
     jumps: NDArray[np.int64] = np.flatnonzero(_jumps(between(raw[:-1], raw[1:]), seconds)) + 1
@@ -80,12 +80,9 @@ def without_pauses(t_ns: ArrayLike, longest_ns: int) -> NDArray[np.int64]:
 
 # -- how fast a robot moves -------------------------------------------------------------------------------------------
 
-WHEELS_SHARE = 0.05
-"""By which share wheels may misjudge a turn, 1 sigma."""
-USUAL_TURN_RAD_S = 0.5
-"""Turn rate of a robot of which nothing is known, 1 sigma."""
-MOST_SPEED_M_S, MOST_TURN_RAD_S = 5.0, 20.0
-"""Faster than any robot indoors: wheels that say more have begun to count anew."""
+WHEELS_SHARE = 0.05  # by which wheels may misjudge a turn, 1 sigma
+USUAL_TURN_RAD_S = 0.5  # turn rate of a robot of which nothing is known, 1 sigma
+MOST_SPEED_M_S, MOST_TURN_RAD_S = 5.0, 20.0  # faster than any robot indoors: wheels that say more count anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +104,7 @@ UNKNOWN_TWIST = Twist(turn_sigma_rad_s=USUAL_TURN_RAD_S)
 def twist_at(track: Trajectory, t_ns: int, span_s: tuple[float, float]) -> Twist:
     """Return the mean twist during a span (begin, end) about a time, by poses up to the first one at or after the time.
 
-    A running robot knows no later ones yet, so a span that ends later is moved to end there. The turn rate is as
+    A span that ends later is moved to end there: a running robot knows no later poses yet. The turn rate is as
     uncertain as wheels are, and as it has changed since as long before. Unknown before the second pose, and where no
     robot drives so fast.
     """

@@ -1,7 +1,6 @@
 """Landmarks by place: those near enough to be seen from a piece of floor, and those in view from a cell and heading.
 
-Lists by piece are made once for a map and a range, and kept as long as the map is. So what looks for landmarks near a
-pose costs the same however large the map is.
+Lists by piece are kept with the map, so that looking for landmarks near a pose costs the same however large it is.
 """
 
 from __future__ import annotations
@@ -77,15 +76,12 @@ class Reach:
 
 def reach_of(landmark_map: LandmarkMap, range_m: float) -> Reach:
     """Return which landmarks a camera may see that sees so far, from every piece of the floor."""
-    points = landmark_map.points
-    return kept_with(
-        landmark_map,
-        ("reach", range_m),
-        lambda: Reach.of(points, range_m + _MARGIN_M) if len(points) else Reach.everything(0),
-    )
 
+    def make() -> Reach:
+        points = landmark_map.points
+        return Reach.of(points, range_m + _MARGIN_M) if len(points) else Reach.everything(0)
 
-# -- by cell of floor and heading -------------------------------------------------------------------------------------
+    return kept_with(landmark_map, ("reach", range_m), make)
 
 
 def in_view_of_cells(
@@ -161,10 +157,10 @@ def in_view_of_cells_loop(
     reach_start: Indices,
     reach_item: NDArray[np.int32],
 ) -> tuple[Indices, NDArray[np.int32]]:
-    """Return start (cells + 1,) and item: landmarks item[start[c] : start[c + 1]] can be in view from cell c.
+    """Return what `in_view_of_cells` returns. reach_…: see `Reach`.
 
     Never one too few: what a camera sees lies between two planes through it and within range; for a whole cell the
-    planes are moved apart by its half diagonal and turned by half its width in heading. reach_…: see `reach.Reach`.
+    planes are moved apart by its half diagonal and turned by half its width in heading.
     """
     right, back, yaw = offset
     start, item = np.zeros(len(run), np.int64), np.empty(1024, np.int32)

@@ -45,9 +45,8 @@ class LandmarkMap:
 
     ids: L unique names. points: (L, 2) x, z in metres. cov: (L, 2, 2) m². bottom_m, top_m: (L,) heights above the
     floor between which the edge can be seen. polarity: (L,) as in `Edges`, seen from where it was measured, 0 unknown.
-    source: how each was obtained. extra: unknown keys of each landmark, header: unknown keys of the file; both are
-    kept so that a newer version's file survives being saved. quality: how well each is known, None where the map does
-    not say.
+    source: how each was obtained. extra, header: unknown keys of each landmark and of the file, kept so that a newer
+    version's file survives being saved. quality: how well each is known, None where the map does not say.
     """
 
     name: str
@@ -95,7 +94,7 @@ class LandmarkMap:
         """Return the map without what nobody reads but people."""
         return replace(self, frame={}, extra=(), header={})
 
-    # -- what several maps in one have, see `storage.Site`: a map is one alone -----------------------------------------
+    # -- what several maps in one have, see `storage.Site`: a map is one alone
 
     @property
     def maps(self) -> tuple[LandmarkMap, ...]:
@@ -118,8 +117,6 @@ class LandmarkMap:
         """Return all landmarks in the frame of one of its maps."""
         return self
 
-    # -- parts ------------------------------------------------------------------------------------------------------
-
     def sigma_m(self, unknown_m: float) -> Array:
         """Return the sigma (L,) of each position, the mean over directions; `unknown_m` where the map is silent."""
 
@@ -131,18 +128,11 @@ class LandmarkMap:
 
     def take(self, index: NDArray[np.int64]) -> LandmarkMap:
         """Return the map of the landmarks at `index` (K,), in that order."""
-        return replace(
-            self,
-            ids=tuple(self.ids[i] for i in index),
-            points=self.points[index],
-            cov=self.cov[index],
-            bottom_m=self.bottom_m[index],
-            top_m=self.top_m[index],
-            polarity=self.polarity[index],
-            source=tuple(self.source[i] for i in index),
-            extra=tuple(self.extra[i] for i in index) if self.extra else (),
-            quality=None if self.quality is None else self.quality.take(index),
-        )
+        arrays = ("points", "cov", "bottom_m", "top_m", "polarity")
+        chosen: dict[str, Any] = {name: getattr(self, name)[index] for name in arrays}
+        for name in ("ids", "source", "extra") if self.extra else ("ids", "source"):
+            chosen[name] = tuple(getattr(self, name)[i] for i in index)
+        return replace(self, **chosen, quality=self.quality and self.quality.take(index))
 
 
 _OF_MAPS: WeakKeyDictionary[LandmarkMap, dict[tuple[Any, ...], Any]] = WeakKeyDictionary()

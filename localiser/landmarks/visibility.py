@@ -1,19 +1,17 @@
 """How a landmark is seen from a pose: its bearing, its range, where its ends are in the image, and as a line to draw.
 
-These plain functions are the only model of it. Tests compare compiled loops, which repeat a part of it for speed, with
-them.
+Tests compare compiled loops, which repeat a part of it for speed, with these plain functions.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from localiser import geometry
 from localiser.camera import Camera
 from localiser.geometry import Array, robot_from_map
 from localiser.landmarks.index import reach_of
@@ -94,16 +92,9 @@ def sight(
     tangent = right / ahead
     e_bottom, e_top = image_heights(camera, ahead, landmark_map.bottom_m[landmark], landmark_map.top_m[landmark])
     length_px = visible_length_px(camera, tangent, e_bottom, e_top, parameters.margin_px)
-    seen = length_px >= max(parameters.length_min_px, 1e-9)
-    return Sight(
-        pose=pose[seen],
-        landmark=landmark[seen],
-        tangent=tangent[seen],
-        range_m=np.sqrt(range_squared[pose, column][seen]),
-        length_px=length_px[seen],
-        e_bottom=e_bottom[seen],
-        e_top=e_top[seen],
-    )
+    seen, range_m = length_px >= max(parameters.length_min_px, 1e-9), np.sqrt(range_squared[pose, column])
+    columns: tuple[Any, ...] = pose, landmark, tangent, range_m, length_px, e_bottom, e_top
+    return Sight(*(values[seen] for values in columns))
 
 
 def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:
@@ -188,17 +179,11 @@ def half_view_rad(camera: Camera) -> float:
 
 # -- where landmarks are expected in an image, as lines to draw -------------------------------------------------------
 
-
-_FINE_STEPS = 129
-"""Points at which a landmark's line is asked whether it is inside the image: a few pixels apart."""
+_FINE_STEPS = 129  # points at which a landmark's line is asked whether it is inside the image: a few pixels apart
 
 
 def landmark_ends(landmark_map: LandmarkMap, camera: Camera) -> Array:
-    """Return bottom and top (L, 2, 3) of each landmark in the map.
-
-    A height that is not known has to be drawn somehow: from the floor to twice the camera's height, which the camera
-    looks at.
-    """
+    """Return bottom and top (L, 2, 3) of each landmark in the map; of unknown ones the floor, and twice its height."""
     bottom = np.where(np.isnan(landmark_map.bottom_m), 0.0, landmark_map.bottom_m)
     top = np.where(np.isnan(landmark_map.top_m), bottom + 2 * camera.mount.height_m, landmark_map.top_m)
     x, z = landmark_map.points.T
@@ -215,8 +200,11 @@ def predicted_lines(
     """
     index = np.flatnonzero(visible)
     bottom, top = ends[index, 0], ends[index, 1]
-    ahead = -geometry.robot_from_map(camera.pose_in_map(pose), bottom[:, [0, 2]])[:, 1]
-    lowest, highest = _heights_in_image(camera, ahead)
+    ahead = -robot_from_map(camera.pose_in_map(pose), bottom[:, [0, 2]])[:, 1]
+    # Heights above the floor at the image's lower and upper border: the inverse of e = (c y + s d) / (c d - s y), with
+    # y above the camera and d ahead. Cutting there keeps the lens polynomial where it was calibrated.
+    s, c, height_m = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad), camera.mount.height_m
+    lowest, highest = (ahead * (e * c - s) / (c + e * s) + height_m for e in camera.upright_bounds[2:])
     low, high = np.maximum(bottom[:, 1], lowest), np.minimum(top[:, 1], highest)
     seen = (ahead > 0) & (high > low)
     points = np.repeat(bottom[seen][:, None, :], _FINE_STEPS, axis=1)
@@ -228,15 +216,3 @@ def predicted_lines(
     shown = within.any(axis=1) & (last > first)
     step = np.linspace(first[shown], last[shown], 12 if camera.is_distorted else 2, axis=-1).round().astype(np.int64)
     return index[seen][shown], np.take_along_axis(fine[shown], step[..., None], axis=1)
-
-
-def _heights_in_image(camera: Camera, ahead: Array) -> tuple[Array, Array]:
-    """Return the heights above the floor (L,) at the image's lower and upper border for points so far ahead.
-
-    The inverse of e = (c y + s d) / (c d - s y), with y above the camera and d ahead of it. Clipping before the
-    projection keeps the lens polynomial where it was calibrated.
-    """
-    s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
-    _, _, e_bottom, e_top = camera.upright_bounds
-    low, high = (ahead * (e * c - s) / (c + e * s) + camera.mount.height_m for e in (e_bottom, e_top))
-    return np.asarray(low), np.asarray(high)

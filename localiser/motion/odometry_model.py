@@ -65,8 +65,7 @@ class ConstantErrorParameters:
         return np.diag(np.square([self.distance_sigma, self.turn_sigma, veer, self.delay_sigma_s, yaw]))
 
 
-EXACT = ConstantErrorParameters(0.0, 0.0, 0.0, 0.0, 0.0)
-"""Of a robot without constant errors."""
+EXACT = ConstantErrorParameters(0.0, 0.0, 0.0, 0.0, 0.0)  # of a robot without constant errors
 
 
 @dataclass(frozen=True, slots=True)
