@@ -1,13 +1,11 @@
 """Candidates: weighted poses at all places, beside the one that is tracked, where the robot may be.
 
 They are particles that many places share. Each has its own distribution of the detection rate, learnt from the images
-that it has been weighed by: landmarks of another place may be seen more or less often. A place keeps particles as long
-as it may be right, however small its weight, so that a later image can still decide for it.
+that it has been weighed by: landmarks of another place may be seen more or less often.
 
 Images weigh places against each other by less than they tell of a pose, because the clutter of earlier images explains
 most edges as well. Within one cell of floor and heading, particles share its weight by the likelihood that the filter
-itself weighs particles by. So those of a place lie as close to the edges as if it were tracked, and its next image is
-as likely.
+itself weighs particles by. So those of a place lie as close to the edges as if it were tracked.
 """
 
 from __future__ import annotations
@@ -27,6 +25,7 @@ EVENNESS = 0.25  # power of a cell's weight by which it gets particles
 SPREAD = 0.2  # of the spread of a cell: by how much its particles are moved, so that copies part
 MEMORY_SCENES = 5.0  # scenes after which the detection rate may be another
 _NEVER = -500.0  # log-likelihood of a pose that is given up
+_UNKNOWN: Array = DetectionRate.unknown().probability[:, None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +41,8 @@ class Candidates:
     @classmethod
     def of(cls, particles: Particles, rate: DetectionRate | None = None) -> Candidates:
         """Return candidates with the same distribution of the detection rate; None: no image was compared with them."""
-        probability = (rate or DetectionRate.unknown()).probability
-        return cls(particles, np.tile(probability[:, None], (1, len(particles))))
+        probability = _UNKNOWN if rate is None else rate.probability[:, None]
+        return cls(particles, np.tile(probability, (1, len(particles))))
 
     def weighed(
         self, by_rate: Array, novelty: float, *, needs_landmarks: bool, within: Array | None = None
@@ -55,10 +54,9 @@ class Candidates:
         not on the map. within: (N,) the log-likelihood by which the particles of a cell share its weight; None: as
         by_rate says.
         """
-        prior = DetectionRate.unknown().probability[:, None]
-        rates = self.rates + (1.0 - np.exp(-novelty / MEMORY_SCENES)) * (prior - self.rates)
+        rates = self.rates + (1.0 - np.exp(-novelty / MEMORY_SCENES)) * (_UNKNOWN - self.rates)
         joint = novelty * by_rate + np.log(rates)
-        log_kept = np.where((by_rate == 0.0).all(axis=0), _NEVER, 0.0) if needs_landmarks else np.zeros(len(self))
+        log_kept = np.where((by_rate == 0.0).all(axis=0), _NEVER, 0.0) if needs_landmarks else 0.0
         log_fit = log_sum_of_rates(joint)
         before = self.particles.log_weight
         after = before + log_fit + log_kept

@@ -1,12 +1,10 @@
-"""Global localisation: poses proposed from one image, weighed by all of its edges.
+"""Global localisation: poses proposed from one image, weighed by all of its edges; steps: docs/relocalisation.md.
 
-Hypotheses are poses at which two or three edges are landmarks (`hypotheses`). The best of them are found by the
-filter's own likelihood L, blurred. Poses are drawn evenly from a box around each, with weights w₁ = prior / q. Then
-the blur narrows in steps b: poses are drawn by w_b L_b(x), and moved a little to x', so that they gather where the
+Poses are drawn evenly from a box around each of the best hypotheses, with weights w₁ = prior / q. Then the blur of the
+likelihood L narrows in steps b: poses are drawn by w_b L_b(x), and moved a little to x', so that they gather where the
 edges fit. As moves one way are as likely as the other way, the weight of a pose at the next step is that of all that it
 is drawn from, divided by L_b(x) at where it came from: a sum of w L over poses is the evidence at every blur. Without
-the last likelihood they are draws from the prior of a robot that may be anywhere. `history` weighs them by this image
-and those before.
+the last likelihood they are draws from the prior. `history` weighs them by this image and those before.
 """
 
 from __future__ import annotations

@@ -83,8 +83,8 @@ class History:
         """Return the history with an image, if it is of another scene than the last one that was kept."""
         if self.new < 1.0:
             return self
-        still = Increment.from_mean(np.zeros(3))
-        images, entered = (*self.images, PastImage(sighting, self.new, still, self.limits)), self.entered
+        last = PastImage(sighting, self.new, Increment.from_mean(np.zeros(3)), self.limits)
+        images, entered = (*self.images, last), self.entered
         if len(images) > SCENES:
             oldest, images, entered = entered[0], images[1:], entered[1:].copy()
             entered[0] += self.overlooked * oldest
@@ -108,17 +108,17 @@ class History:
             columns = clouds[0].columns.copy()
             columns[:3] = compose(columns[:3].T, between(steps, np.zeros_like(steps))).T
             clouds.insert(0, replace(proposed.particles, columns=columns))
-        images = [(one.sighting, one.limits, one.novelty) for one in self.images]
-        images.append((sighting, self.limits, self.new))
+        last = PastImage(sighting, self.new, Increment.from_mean(np.zeros(3)), self.limits)
         log_path, followed = np.full(len(proposed), -np.inf), proposed
-        for cloud, entered, (seen, limits, novelty) in zip(clouds, self.entered, images, strict=True):
+        for cloud, entered, image in zip(clouds, self.entered, (*self.images, last), strict=True):
             log_entered = np.log(max(entered, 1e-300))
             log_path = np.logaddexp(log_path, log_entered)
             rates = followed.rates + np.exp(log_entered - log_path) * (proposed.rates - followed.rates)
             there = Candidates(replace(cloud, log_weight=np.zeros(len(cloud))), rates)
-            needs_landmarks = search.known_edges(seen) >= FEWEST
-            followed, _ = there.weighed(search.by_rate(cloud, seen), novelty, needs_landmarks=needs_landmarks)
-            log_path += np.minimum(followed.particles.log_weight - limits[0], limits[1])
+            needs_landmarks = search.known_edges(image.sighting) >= FEWEST
+            by_rate = search.by_rate(cloud, image.sighting)
+            followed, _ = there.weighed(by_rate, image.novelty, needs_landmarks=needs_landmarks)
+            log_path += np.minimum(followed.particles.log_weight - image.limits[0], image.limits[1])
         log_weight = proposed.particles.log_weight + log_path
         return Candidates(replace(proposed.particles, log_weight=log_weight), followed.rates)
 

@@ -246,31 +246,22 @@ def from_three_bearings(points: Array, bearings: Array) -> Array:
 
     points: (K, 3, 2) landmarks in the map. bearings: (K, 3) rad, from the camera's forward axis, positive right.
 
-    A landmark p lies on its ray when n·(Rᵀp - u) = 0 with n = (cos b, sin b) across the ray, R the camera's rotation by
-    its heading h and u = Rᵀt. That is linear in (cos h, sin h, u): three rays leave one line of solutions, and
-    cos² h + sin² h = 1 picks two points of it. They are mirrored through the camera, and at most one of them has all
-    landmarks ahead. There is none where camera and landmarks lie on one circle.
+    The first landmark is the origin, r (sin b₁, -cos b₁) from the camera. A landmark q lies on its ray when
+    n·(Rᵀq + r (sin b₁, -cos b₁)) = 0 with n = (cos b, sin b) across the ray, R the rotation by the heading h. That is
+    linear in (cos h, sin h, r). Two rays leave a line of solutions, the cross product of their rows, on which
+    cos² h + sin² h = 1 and r > 0 pick a point. There is none where camera and landmarks lie on one circle.
     """
-    nx, nz = np.cos(bearings), np.sin(bearings)
-    px, pz = points[..., 0], points[..., 1]
-    rows = np.stack([nx * px + nz * pz, nz * px - nx * pz, -nx, -nz], axis=-1)
-    # Landmarks near the map's origin or far from it alike: scale the first two unknowns to the others.
-    scale = np.maximum(np.abs(points).max(axis=(1, 2)), 1.0)
-    rows[..., :2] /= scale[:, None, None]
-    # The minors of the rows are a vector across them, as long as the volume that they span (Cauchy, Binet).
-    minors = [np.linalg.det(np.delete(rows, column, axis=-1)) * (-1) ** column for column in range(4)]
-    free = np.stack(minors, axis=-1)
-    volume = np.linalg.norm(free, axis=-1)
-    free /= np.maximum(volume, 1e-300)[:, None]
-    free[:, :2] /= scale[:, None]
+    nx, nz = np.cos(bearings[:, 1:]), np.sin(bearings[:, 1:])
+    qx, qz = np.moveaxis(points[:, 1:] - points[:, :1], -1, 0)
+    rows = np.stack([nx * qx + nz * qz, nz * qx - nx * qz, np.sin(bearings[:, :1] - bearings[:, 1:])], axis=-1)
+    line = np.cross(rows[:, 0], rows[:, 1])
     with np.errstate(invalid="ignore", divide="ignore"):
-        cos, sin, ux, uz = (free / np.hypot(free[:, 0], free[:, 1])[:, None]).T
-    poses = np.stack([cos * ux + sin * uz, -sin * ux + cos * uz, np.arctan2(sin, cos)], axis=-1)
+        cos, sin, range_m = line.T * np.sign(line[:, 2]) / np.hypot(line[:, 0], line[:, 1])
+    heading = np.arctan2(sin, cos)
+    poses = np.column_stack([points[:, 0] - range_m[:, None] * forward(heading - bearings[:, 0]), heading])
     seen = geometry.robot_from_map(poses[:, None], points)
-    ahead = seen[..., 0] * np.sin(bearings) - seen[..., 1] * np.cos(bearings)
-    side = np.where((ahead > 0).all(axis=1), 1.0, np.where((ahead < 0).all(axis=1), -1.0, np.nan))
-    poses[:, 2] = np.arctan2(side * sin, side * cos)
-    poses[(volume <= 1e-6) | np.isnan(poses).any(axis=1)] = np.nan  # a plane of solutions, or none
+    is_ahead = (seen[..., 0] * np.sin(bearings) > seen[..., 1] * np.cos(bearings)).all(axis=1)
+    poses[~is_ahead | (np.linalg.norm(line, axis=1) <= 1e-6)] = np.nan
     return poses
 
 
