@@ -51,7 +51,7 @@ from localiser.observation import (
 )
 from localiser.particles import POSE, Particles, log_sum, systematic_resample, thinned
 from localiser.relocalisation import GlobalLocalisation
-from localiser.visual_odometry import Gaussian, Odometer
+from localiser.visual_odometry import Gaussian, Odometer, increment_of, with_scale
 
 FEW = 512  # particles that tell where odometry alone expects all of them
 FEW_TOLD = 64  # particles that tell how well a motion predicts an image
@@ -266,10 +266,11 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
     delay_s = motion.bias.delay_sigma_s if isinstance(motion, MotionParameters) else 0.0
     moves, odometry_pose, jumped = moves_between(state.odometry, state.at_ns, sighting.t_ns, delay_s)
     increment, seconds = reduce(Increment.then, moves), (sighting.t_ns - state.at_ns) / 1e9
-    if mcl.odometer is not None and mcl.odometer.follows_edges and seconds > 0:
+    if mcl.odometer is not None and mcl.odometer.parameters.source == "vision" and seconds > 0:
         before = None if seen is None else seen.edges
         pace = state.wheels.pace if state.pace is None else state.pace
-        increment, state.pace = mcl.odometer.increment(before, sighting.edges, seconds, pace)
+        moved, state.pace = mcl.odometer.motion(before, sighting.edges, seconds, pace)
+        increment = increment_of(with_scale(moved, walks=True))
         moves = [increment]
     else:
         state.pace = None
@@ -331,7 +332,13 @@ def _contradicted(
     """Return how the robot moved as the edges say, where they and the map contradict the wheels; None where not."""
     seconds, seen, increment = (sighting.t_ns - state.at_ns) / 1e9, state.seen, image.drive.increment
     odometer, observation = mcl.odometer, mcl.edges
-    if observation is None or odometer is None or odometer.follows_edges or not state.weighed or seen is None:
+    if (
+        observation is None
+        or odometer is None
+        or odometer.parameters.source == "vision"
+        or not state.weighed
+        or seen is None
+    ):
         return None
     if not 0 < seconds <= odometer.parameters.pace_s:  # later the robot may go on at any pace: nothing can be judged
         return None
@@ -506,6 +513,6 @@ def _map_error(
 
 
 def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:
-    if mcl.odometer is not None and mcl.odometer.follows_edges:
+    if mcl.odometer is not None and mcl.odometer.parameters.source == "vision":
         return True
     return bool(state.odometry) and state.odometry[-1].t_ns >= t_ns

@@ -31,9 +31,10 @@ from localiser.visual_odometry import (
     Odometer,
     TwoImages,
     VisualOdometryParameters,
+    increment_of,
     likely_twists,
+    mixture,
     motion_gaussian,
-    seen_increment,
     twist_gaussian,
     with_scale,
 )
@@ -72,13 +73,13 @@ class Evidence:
         images = TwoImages.of(self.before, self.after, self.odometer.camera)
         likely = likely_twists(images, prior) if len(self.before) and len(self.after) else []
         if not likely:
-            return seen_increment(motion_gaussian(prior)), 0.0
+            return increment_of(motion_gaussian(prior)), 0.0
         miss_rad, var = likely[0][2] - prior.mean[2], prior.cov[2, 2]
         kept = min(TURN_SIGMA_RAD**2 / var, 1.0)
         scale = np.array([1.0, 1.0, kept**0.5])
         twist = Gaussian(np.array([*prior.mean[:2], likely[0][2]]), prior.cov * np.outer(scale, scale))
         log_ratio = min(0.5 * float(np.log(kept) - miss_rad**2 / var), 0.0)
-        return seen_increment(motion_gaussian(twist)), log_ratio
+        return increment_of(motion_gaussian(twist)), log_ratio
 
     def weighed(self, pace: Gaussian, wheels: Gaussian, by_map: float, by_last: float) -> float:
         """Return log p(image | it went on at its pace) / p(image | the wheels are right), to the power `POWER`.
@@ -93,7 +94,7 @@ class Evidence:
 
     def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
         """Return the motion by edges alone, of a robot that had this twist per second."""
-        return self.odometer.seen(self.before, self.after, seconds, pace, steers=False)[0]
+        return self.odometer.motion(self.before, self.after, seconds, pace, steers=False)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +147,9 @@ class Wheels:
         log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + log_ratio, -50.0, 50.0))
         wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < SUSPECT)
         if wheels.wrong > DOUBTED and seen is not None:
-            return wheels, seen_increment(Gaussian(increment.mean, cov).mixed(seen, wheels.wrong))
+            return wheels, increment_of(
+                mixture([Gaussian(increment.mean, cov), seen], np.array([1.0 - wheels.wrong, wheels.wrong]))
+            )
         if wheels.fit:
             return replace(wheels, usual=usual), None
         pace = Gaussian(expected.mean / seconds, expected.cov / seconds**2)

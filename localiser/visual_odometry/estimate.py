@@ -47,16 +47,9 @@ class Gaussian:
         apart = value - self.mean
         return float(-0.5 * (apart @ np.linalg.solve(self.cov, apart) + np.linalg.slogdet(2 * np.pi * self.cov)[1]))
 
-    def mixed(self, other: Gaussian, share: float) -> Gaussian:
-        """Return the Gaussian with mean and covariance of a mixture, of which `share`, 0 … 1, is the other one."""
-        apart = other.mean - self.mean
-        cov = (1.0 - share) * self.cov + share * other.cov + share * (1.0 - share) * np.outer(apart, apart)
-        return Gaussian(self.mean + share * apart, cov)
 
-
-def mixture(parts: Sequence[Gaussian], log_weight: Array) -> Gaussian:
-    """Return the Gaussian with mean and covariance of a mixture of K motions; log_weight: (K,), up to a constant."""
-    weight = normalised(log_weight)
+def mixture(parts: Sequence[Gaussian], weight: Array) -> Gaussian:
+    """Return the Gaussian with mean and covariance of a mixture of K motions; weight: (K,) of sum 1."""
     origin = parts[int(weight.argmax())].mean
     offset = np.array([part.mean - origin for part in parts])
     offset[:, 2] = wrap_angle(offset[:, 2])
@@ -171,7 +164,8 @@ def follow(images: TwoImages, starts: Sequence[Array], priors: Sequence[tuple[Ga
             tried += standing + _distinct(_refined(images, nothing, start, False, every) for start in again)
         found += [(nothing, each) for each in tried]
     nothing, best = max(found, key=lambda pair: pair[1].log_evidence)
-    whole = mixture([other.twist for _, other in found], np.array([other.log_evidence for _, other in found]))
+    weight = normalised(np.array([each.log_evidence for _, each in found]))
+    whole = mixture([each.twist for _, each in found], weight)
     # What the twist changes by when one group of edges is left out.
     group = np.full(len(images.pairs), -1)
     group[best.chosen] = images.groups(best.chosen)

@@ -83,35 +83,20 @@ class Odometer:
     camera: Camera
     parameters: VisualOdometryParameters
 
-    @property
-    def follows_edges(self) -> bool:
-        """Whether the camera alone says how the robot moves, so that no image waits for the wheels."""
-        return self.parameters.source == "vision"
-
     def warm_up(self) -> None:
         """Compile what follows edges, or load it from the disk, so that no image has to wait for it."""
         angle = np.zeros(1)
         one = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
-        self.seen(one, one, 1.0, None)
+        self.motion(one, one, 1.0, None)
 
-    def increment(
-        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None
-    ) -> tuple[Increment, Gaussian]:
-        """Return the motion over `seconds` as edges say, and the pace that the robot goes on with.
-
-        before: the edges of the last image, None when there was none. pace: twist per second at the last image, None
-        when not known.
-        """
-        motion, pace = self.seen(before, after, seconds, pace)
-        return seen_increment(with_scale(motion, walks=True)), pace
-
-    def seen(
+    def motion(
         self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None, *, steers: bool = True
     ) -> tuple[Gaussian, Gaussian]:
-        """Return the motion by the edges alone, without the error of the scale, and the pace as `increment` has it.
+        """Return the motion over `seconds` as edges say, without the error of their scale, and the pace from then on.
 
-        steers: whether the robot hardly ever moves sideways. What wheels are judged by must not take that for granted:
-        where edges do not tell, the prior would speak against every robot that walks or flies.
+        before: the edges of the last image, None when there was none. pace: twist per second at the last image, None
+        when not known. steers: whether the robot hardly ever moves sideways. What wheels are judged by must not take
+        that for granted: where edges do not tell, the prior would speak against every robot that walks or flies.
         """
         images = TwoImages.of(Edges.none() if before is None else before, after, self.camera)
         prior = self.parameters.twist(None if before is None else pace, seconds)
@@ -137,11 +122,11 @@ def with_scale(motion: Gaussian, *, walks: bool) -> Gaussian:
     return replace(motion, cov=motion.cov + var * np.outer(along, along))
 
 
-def seen_increment(seen: Gaussian) -> Increment:
+def increment_of(motion: Gaussian) -> Increment:
     """Return the increment of a motion that edges tell, and not wheels.
 
     Its path is how far the robot may well have come: one of which nothing is known has not stood still.
     """
-    path_m = np.sqrt(np.square(seen.mean[:2]).sum() + np.trace(seen.cov[:2, :2]))
-    turned_rad = np.sqrt(seen.mean[2] ** 2 + seen.cov[2, 2])
-    return Increment(seen.mean, seen.cov, float(path_m), float(turned_rad))
+    path_m = np.sqrt(np.square(motion.mean[:2]).sum() + np.trace(motion.cov[:2, :2]))
+    turned_rad = np.sqrt(motion.mean[2] ** 2 + motion.cov[2, 2])
+    return Increment(motion.mean, motion.cov, float(path_m), float(turned_rad))

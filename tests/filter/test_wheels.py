@@ -122,7 +122,7 @@ def test_the_camera_does_not_take_for_granted_that_a_robot_steers() -> None:
     pace = Gaussian(np.array([0.0, -0.5, 0.1]), 1e-4 * np.eye(3))
     log_ratio = {}
     for steers in (True, False):
-        seen = with_scale(odometer.seen(before, after, 0.2, pace, steers=steers)[0], walks=False)
+        seen = with_scale(odometer.motion(before, after, 0.2, pace, steers=steers)[0], walks=False)
         log_ratio[steers] = contradicts(move, np.diag(sigma**2), seen, parameters.twist(None, 0.2).cov)
     assert log_ratio[True] > 2.0
     assert log_ratio[False] < 0.5
