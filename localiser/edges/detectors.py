@@ -144,13 +144,9 @@ class Columns:
         upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
         ideal_px = camera.ideal.pixels_from_upright(upright)
         to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
-        return Segments(
-            ends_px=ideal_px[:, :2],
-            support_px=ideal_px[:, 2:],
-            sigma_px=to_px * np.sqrt(2 / fit.weight),
-            shift_sigma_px=to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept]),
-            polarity=cells.polarity[kept],
-        )
+        shift_sigma_px = to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept])
+        sigmas_px = to_px * np.sqrt(2 / fit.weight), shift_sigma_px
+        return Segments(ideal_px[:, :2], ideal_px[:, 2:], *sigmas_px, cells.polarity[kept])
 
 
 def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: GradientField) -> bool:
@@ -158,8 +154,7 @@ def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: Gr
 
     A sharp step is half as steep there. One so wide shows two peaks at the fine scale, at either end of its slope.
     """
-    groups = cells.groups
-    at_coarse = cells.sampled(field.coarse, fitted.fit.at(groups.of, cells.row))[0]
+    at_coarse = cells.sampled(field.coarse, fitted.fit.at(cells.groups.of, cells.row))[0]
     coarse, fine = (cells.mean(height)[kept] for height in (at_coarse, fitted.height))
     return len(kept) > 0 and float(np.median(coarse / fine)) > _BLURRED_STEEPNESS
 
@@ -245,23 +240,22 @@ _BORDER_SHARE = 0.5  # a segment of which more runs along the border of the fiel
 
 def lsd(image: Image, camera: Camera, /) -> Segments:
     """Return the segments of a grey image (H, W) by the line segment detector of von Gioi et al. (2010)."""
-    return on_ideal_image(image, camera, _lsd_lines, LSD_SIGMA_PX)
+
+    def lines_of(image: Image) -> Array:
+        found = cv2.createLineSegmentDetector().detect(image)[0] if min(image.shape) >= 3 else None
+        return _lines(found) + LSD_SHIFT_PX
+
+    return on_ideal_image(image, camera, lines_of, LSD_SIGMA_PX)
 
 
 def hough(image: Image, camera: Camera, /) -> Segments:
     """Return the segments of a grey image (H, W) by Canny's edges and Hough's transform, as the paper does."""
-    return on_ideal_image(image, camera, _hough_lines, HOUGH_SIGMA_PX)
 
+    def lines_of(image: Image) -> Array:
+        canny = cv2.Canny(cv2.GaussianBlur(image, (0, 0), 1.0), 40, 100)
+        return _lines(cv2.HoughLinesP(canny, 1, np.pi / 720, threshold=25, minLineLength=20, maxLineGap=4))
 
-def _lsd_lines(image: Image) -> Array:
-    if min(image.shape) < 3:
-        return np.zeros((0, 4))
-    return _lines(cv2.createLineSegmentDetector().detect(image)[0]) + LSD_SHIFT_PX
-
-
-def _hough_lines(image: Image) -> Array:
-    canny = cv2.Canny(cv2.GaussianBlur(image, (0, 0), 1.0), 40, 100)
-    return _lines(cv2.HoughLinesP(canny, 1, np.pi / 720, threshold=25, minLineLength=20, maxLineGap=4))
+    return on_ideal_image(image, camera, lines_of, HOUGH_SIGMA_PX)
 
 
 def _lines(found: object) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
 import numpy as np
@@ -34,16 +34,11 @@ class CommonError:
 
     def sigma_of(self, name: str) -> float:
         """Return the sigma of one error, 0 where it is none of these."""
-        if name not in self.names:
-            return 0.0
-        k = self.names.index(name)
-        return float(np.sqrt(self.cov[k, k]))
+        return float(np.sqrt(self.cov.diagonal()[self.names.index(name)])) if name in self.names else 0.0
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> CommonError:
         """Return what is common to the edges at `index`."""
-        return replace(
-            self, bearing_from_lean=self.bearing_from_lean[index], bearing_from_line=self.bearing_from_line[index]
-        )
+        return CommonError(self.names, self.cov, self.bearing_from_lean[index], self.bearing_from_line[index])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,8 +136,6 @@ class Edges:
 
 # -- edges that were measured elsewhere -------------------------------------------------------------------------------
 
-_STRIP_ROWS = 32
-
 
 @dataclass(frozen=True, slots=True)
 class BearingSensor:
@@ -163,14 +156,11 @@ class BearingSensor:
         Its image is a strip along the horizon, which every edge that is taller than the camera crosses, far or near;
         in a full image the field of view would widen towards the floor. The principal point lies below the strip.
         """
-        width = 640
-        tilt = math.radians(self.tilt_deg)
+        width, rows, tilt = 640, 32, math.radians(self.tilt_deg)
         # On the horizon row e = tan(tilt), so tan b = a cos(tilt).
         focal = (width - 1) / 2 * math.cos(tilt) / math.tan(math.radians(self.half_view_deg))
-        middle = (_STRIP_ROWS - 1) / 2
-        mount = Mount(tilt_rad=tilt, height_m=self.height_m)
-        cy = middle + focal * math.tan(tilt)
-        return Camera(width, _STRIP_ROWS, focal, focal, (width - 1) / 2, cy, mount, name=name)
+        mount, cy = Mount(tilt_rad=tilt, height_m=self.height_m), (rows - 1) / 2 + focal * math.tan(tilt)
+        return Camera(width, rows, focal, focal, (width - 1) / 2, cy, mount, name=name)
 
 
 def complete(
@@ -183,15 +173,15 @@ def complete(
     """
     if abs(math.sin(tilt_rad)) < 1e-12:
         return bearing, bearing_sigma, lean, lean_sigma
-    full_bearing = np.where(np.isnan(bearing), geometry.bearing_from_lean(lean, tilt_rad), bearing)
-    full_lean = np.where(np.isnan(lean), geometry.lean_from_bearing(bearing, tilt_rad), lean)
+    no_bearing, no_lean = np.isnan(bearing), np.isnan(lean)
+    full_bearing = np.where(no_bearing, geometry.bearing_from_lean(lean, tilt_rad), bearing)
+    full_lean = np.where(no_lean, geometry.lean_from_bearing(bearing, tilt_rad), lean)
     per_lean = np.abs(geometry.bearing_per_lean(full_bearing, tilt_rad))
-    return (
-        full_bearing,
-        np.where(np.isnan(bearing), lean_sigma * per_lean, bearing_sigma),
-        full_lean,
-        np.where(np.isnan(lean), bearing_sigma / per_lean, lean_sigma),
+    bearing_sigma, lean_sigma = (
+        np.where(no_bearing, lean_sigma * per_lean, bearing_sigma),
+        np.where(no_lean, bearing_sigma / per_lean, lean_sigma),
     )
+    return full_bearing, bearing_sigma, full_lean, lean_sigma
 
 
 # -- segments ---------------------------------------------------------------------------------------------------------
@@ -202,10 +192,10 @@ class Segments:
     """Straight segments, S of them, in undistorted pixels: those of `Camera.ideal`.
 
     ends_px: (S, 2, 2) bottom and top end. support_px: (S, 2, 2) lower and upper point whose errors across the line,
-    sigma_px (S,) each and independent, say how certain the line is; those of a general detector are its ends, those
-    of a line fitted to points all along it lie at the points' standard deviation from their middle.
-    shift_sigma_px: (S,) by how much what lies beside the segment may have moved it, as a whole and, about as much, one
-    end against the other. polarity: (S,) as in `Edges`, 0 not known yet.
+    sigma_px (S,) each and independent, say how certain the line is; those of a general detector are its ends, those of
+    a line fitted to points lie at the points' standard deviation from their middle. shift_sigma_px: (S,) by how much
+    what lies beside the segment may have moved it, as a whole and, about as much, one end against the other. polarity:
+    (S,) as in `Edges`, 0 not known yet.
     """
 
     ends_px: Array
@@ -235,7 +225,5 @@ class Segments:
     def of_ends(cls, ends_px: Array, sigma_px: float, roll_rad: float = 0.0) -> Segments:
         """Return segments that are known by their ends (S, 2, 2), in any order. roll_rad: of the camera."""
         upside_down = np.diff(ends_px @ np.array([np.sin(roll_rad), np.cos(roll_rad)]))[:, 0] > 0
-        ends = np.where(upside_down[:, None, None], ends_px[:, ::-1], ends_px)
-        count = len(ends)
-        none = np.zeros(count)
-        return cls(ends, ends, np.full(count, sigma_px), none, np.zeros(count, dtype=np.int8))
+        ends, none = np.where(upside_down[:, None, None], ends_px[:, ::-1], ends_px), np.zeros(len(ends_px))
+        return cls(ends, ends, np.full(len(ends), sigma_px), none, none.astype(np.int8))

@@ -33,10 +33,10 @@ class Trajectory:
 
     def sampled(self, times_ns: ArrayLike) -> Trajectory:
         """Return the trajectory at the given times (T',), interpolated along arcs; its first or last pose outside."""
-        times = np.asarray(times_ns, dtype=np.int64)
-        if len(self) == 1:
+        times, count = np.asarray(times_ns, dtype=np.int64), len(self.t_ns)
+        if count == 1:
             return Trajectory(times, np.repeat(self.poses, len(times), axis=0))
-        after = np.clip(np.searchsorted(self.t_ns, times, side="left"), 1, len(self) - 1)
+        after = np.clip(np.searchsorted(self.t_ns, times, side="left"), 1, count - 1)
         begin, end = self.t_ns[after - 1], self.t_ns[after]
         fraction = np.clip((times - begin) / (end - begin), 0.0, 1.0)
         return Trajectory(times, interpolate_pose(self.poses[after - 1], self.poses[after], fraction))

@@ -78,8 +78,14 @@ def sight(
     crosses the image within the range limits. Walls do not hide anything: the map holds edges, not surfaces.
     """
     parameters = parameters or SightParameters()
-    near = _near_any_pose(camera_poses, landmark_map, parameters.range_max_m)
-    right, ahead = in_camera(camera_poses, landmark_map.points[near])
+    points, near = landmark_map.points, np.arange(len(landmark_map.points))
+    if len(points) > FEW:
+        near = reach_of(landmark_map, parameters.range_max_m).beside(camera_poses[:, :2])
+    # Those that can be within range of some pose are near the box of all poses.
+    low, high = camera_poses[:, :2].min(axis=0), camera_poses[:, :2].max(axis=0)
+    outside = np.maximum(np.maximum(low - points[near], points[near] - high), 0.0)
+    near = near[(outside**2).sum(axis=1) <= parameters.range_max_m**2]
+    right, ahead = in_camera(camera_poses, points[near])
     range_squared = right**2 + ahead**2
     possible = (
         (ahead > 0)
@@ -94,7 +100,7 @@ def sight(
     length_px = visible_length_px(camera, tangent, e_bottom, e_top, parameters.margin_px)
     seen, range_m = length_px >= max(parameters.length_min_px, 1e-9), np.sqrt(range_squared[pose, column])
     columns: tuple[Any, ...] = pose, landmark, tangent, range_m, length_px, e_bottom, e_top
-    return Sight(*(values[seen] for values in columns))
+    return Sight(*[values[seen] for values in columns])
 
 
 def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:
@@ -148,18 +154,6 @@ def widest_tangent(camera: Camera, parameters: SightParameters) -> float:
     margin = parameters.margin_px / camera.focal_px
     nearest = min(c + (e_low - margin) * s, c + (e_high + margin) * s)
     return (max(-a_left, a_right) + margin) / nearest if nearest > 1e-6 else np.inf
-
-
-def _near_any_pose(camera_poses: Array, landmark_map: LandmarkMap, range_max_m: float) -> NDArray[np.int64]:
-    """Return indices of the landmarks (L) that can be within range of some pose: those near the box of all poses."""
-    points, near = landmark_map.points, None
-    if len(points) > FEW:
-        near = reach_of(landmark_map, range_max_m).beside(camera_poses[:, :2])
-        points = points[near]
-    low, high = camera_poses[:, :2].min(axis=0), camera_poses[:, :2].max(axis=0)
-    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
-    within = np.flatnonzero((outside**2).sum(axis=1) <= range_max_m**2)
-    return within if near is None else near[within]
 
 
 def field_of_view_rad(camera: Camera) -> float:

@@ -148,8 +148,7 @@ def _summarised(poses: Array, share: Array, part: Indices) -> Clusters:
     weight = sums[0]
     mean_x, mean_z, cos, sin = sums[1:] / weight
     mean = np.stack([mean_x, mean_z, np.arctan2(sin, cos)], axis=-1)
-
-    dx, dz, turn = (value - np.repeat(middle, count) for value, middle in zip((x, z, heading), mean.T, strict=True))
+    dx, dz, turn = np.array([x, z, heading]) - np.repeat(mean.T, count, axis=1)
     turn = wrap_angle(turn)
     xx, xz, xt, zz, zt, tt = (
         np.add.reduceat(share * [dx * dx, dx * dz, dx * turn, dz * dz, dz * turn, turn * turn], first, axis=1) / weight
