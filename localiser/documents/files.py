@@ -93,9 +93,8 @@ def output_errors(path: Path) -> Iterator[None]:
 def drafted(path: Path, *, is_new: bool = False) -> Iterator[Path]:
     """Yield where to write a file or a folder; it takes its place at `path` at the end, or is removed after an error.
 
-    The draft lies beside it under a name that no other has, so that neither another run nor a file of the user's is in
-    the way. is_new: nothing is overwritten, whoever was there first. A device or pipe, such as /dev/null, is left what
-    it is. Raises OutputError.
+    The draft lies beside it under a name that no other has. is_new: nothing is overwritten, whoever was there first. A
+    device or pipe, such as /dev/null, is left what it is. Raises OutputError.
     """
     with suppress(OSError, ValueError):  # nothing is there, or whoever writes there will be told
         mode = path.stat().st_mode

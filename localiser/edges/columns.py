@@ -1,9 +1,8 @@
 """Detect vertical edges by a search along the columns of a rectified image.
 
 All vertical edges meet in the nadir point, so one remap that removes lens distortion, tilt and roll makes columns of
-them. Averaging along columns is then cheap and removes most of the noise: the image is cut into blocks of a few rows,
-and each block is averaged to one row. The horizontal gradient of these rows is searched for peaks that continue from
-block to block.
+them. Blocks of a few rows are averaged to one row, which removes most of the noise. The horizontal gradient of these
+rows is searched for peaks that continue from block to block.
 """
 
 from __future__ import annotations
@@ -64,9 +63,8 @@ class GradientField:
 class Peaks(NamedTuple):
     """Peaks of a gradient field, P of them, sorted by row.
 
-    row: block. column, position: whole and sub-pixel. polarity: as `Edges`. chain: which one each belongs to, from 0
-    on. A peak goes on from one in the block above when each is the other's nearest of its polarity, at most a column
-    off.
+    row: block. column, position: whole and sub-pixel. polarity: as `Edges`. chain: to which each belongs. A peak goes
+    on from one in the block above when each is the other's nearest of its polarity, at most a column off.
     """
 
     row: NDArray[np.int64]
@@ -142,10 +140,8 @@ def unseen_blocks(camera: Camera) -> NDArray[np.bool_]:
 
 
 def peaks_of(field: GradientField) -> Peaks:
-    """Return where the size of the smoothed gradient has a peak along its row, and how peaks go on from row to row.
-
-    None beside what is not seen: a slope that the border cuts off has no top there.
-    """
+    """Return where the size of the smoothed gradient has a peak along its row, and how peaks go on from row to row."""
+    # None beside what is not seen: a slope that the border cuts off has no top there.
     peaks = compiled(peaks_loop)(field.smooth, field.unseen, PEAK_SIGMA * field.smooth_sigma)
     rows, width = field.smooth.shape
     return Peaks(*peaks, compiled(links_loop)(*peaks, np.full((rows + 2, width + 2), -1, dtype=np.int32)))

@@ -150,10 +150,7 @@ class Columns:
 
 
 def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: GradientField) -> bool:
-    """Return whether most edges are as steep at twice the scale: blurred by some 7 px of motion, or 2.4 px of lens.
-
-    A sharp step is half as steep there. One so wide shows two peaks at the fine scale, at either end of its slope.
-    """
+    """Return whether most edges are as steep at twice the scale: blurred by some 7 px of motion, or 2.4 px of lens."""
     at_coarse = cells.sampled(field.coarse, fitted.fit.at(cells.groups.of, cells.row))[0]
     coarse, fine = (cells.mean(height)[kept] for height in (at_coarse, fitted.height))
     return len(kept) > 0 and float(np.median(coarse / fine)) > _BLURRED_STEEPNESS
@@ -180,10 +177,7 @@ def _significant(
 
 
 def _blur(fitted: Fitted, kept: NDArray[np.int64], cells: Cells) -> float:
-    """Return by how much more than in focus something beside a line moves it, over what two scales tell: 1 in focus.
-
-    In a blurred image both scales see wide slopes, so that they differ less. Slopes grow with the square of the width.
-    """
+    """Return by how much more than in focus something beside a line moves it, over what two scales tell: 1 in focus."""
     if len(kept) == 0:
         return 1.0
     order = np.argsort(fitted.width[kept])
@@ -193,10 +187,7 @@ def _blur(fitted: Fitted, kept: NDArray[np.int64], cells: Cells) -> float:
 
 
 def _is_soft(fitted: Fitted, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which lines (G,) are far wider than the camera blurs a step: shading of something round, or a shadow.
-
-    How wide that is the sharpest tenth of the lines that are kept (G,) tells.
-    """
+    """Return which lines (G,) are far wider than the sharpest tenth of those that are kept: shading, or a shadow."""
     if not kept.any():
         return np.zeros(len(kept), dtype=np.bool_)
     widest, narrowest = fitted.width + 2 * fitted.width_sigma, fitted.width - 2 * fitted.width_sigma
@@ -208,8 +199,8 @@ def _is_soft(fitted: Fitted, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _extent(height: Array, on: NDArray[np.bool_], cells: Cells) -> tuple[Array, Array]:
     """Return where (G,) lines begin and end, in blocks from the top of the rectified image.
 
-    The gradient of a block that the edge covers in part is as much lower; compared with the next one inwards it tells
-    which part. Both the last block that counts and the one beyond may be covered in part.
+    The gradient of a block that the edge covers in part is lower than that of the next one inwards, which tells the
+    part. Both the last block that counts and the one beyond may be covered so.
     """
     line, index = cells.groups.of, np.flatnonzero(on)
     first, last = np.zeros((2, cells.groups.count), dtype=np.int64)

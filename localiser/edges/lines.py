@@ -200,8 +200,7 @@ def refined(fit: LineFit, cells: Cells, field: GradientField) -> Fitted:
 def _with_scatter(fit: LineFit, normalised: Array, inlier: Array, groups: Groups) -> LineFit:
     """Return lines as uncertain as their residuals (K,) say, given in units of what the noise predicts.
 
-    The variance is what the noise predicts, times how much more than predicted blocks scatter, times what neighbouring
-    residuals have in common.
+    The variance grows by how much more blocks scatter, and by what neighbouring residuals have in common.
     """
     excess = _excess(normalised**2, inlier, groups)
     used = np.sqrt(inlier / excess[groups.of]) * normalised
@@ -220,11 +219,10 @@ def _excess(squares: Array, inlier: Array, groups: Groups) -> Array:
 def _of_both_scales(fine: LineFit, coarse: LineFit) -> tuple[LineFit, Array]:
     """Return the best lines of both scales, and by how much (G,) something next to them may have moved them.
 
-    A clean step is at the same place at every scale, and more certain at the coarser one. A shadow, a soft corner or a
-    close neighbour on one side shifts it, in proportion to the square of the scale: by 4 instead of 1. The coarser
-    scale is used as far as noise explains the difference. Otherwise the finer one is used, less a third of the
-    difference. The coarser scale is the better of two estimates of the same value, so the variance of their difference
-    is the difference of their variances.
+    A clean step is at the same place at every scale, and more certain at the coarser one. A shadow or a close neighbour
+    shifts it in proportion to the square of the scale: by 4 instead of 1. The coarser scale is used as far as noise
+    explains the difference, which has the difference of their variances. Otherwise the finer one is used, less a third
+    of the difference.
     """
     sampling = _SAMPLING_SIGMA_PX[1] ** 2 - _SAMPLING_SIGMA_PX[2] ** 2
     difference = coarse.y + coarse.slope * (fine.x - coarse.x) - fine.y

@@ -129,10 +129,7 @@ class Readout:
         return taken
 
     def per_turn(self, ends_px: Array, rate: Array) -> tuple[Array, Array]:
-        """Return d(lean) and d(bearing) (S,) by the turn rate, s, of segments with ends (S, 2, 2) at the time stamp.
-
-        The lean is that of the free line, the bearing that of the line through the nadir point.
-        """
+        """Return d(lean) and d(bearing) (S,) by the turn rate, s, of segments with ends (S, 2, 2) at the time stamp."""
         moved = self._turned(ends_px, -_STEP_RAD_S * self._since_stamp_s(self.as_taken(ends_px, rate)))
         ideal = self.camera.ideal
         turned = geometry.wrap_half_turn(ideal.lean_of_segments(moved) - ideal.lean_of_segments(ends_px))
@@ -156,10 +153,7 @@ class Readout:
 
 
 def readout_of(camera: Camera, twist: Twist | None) -> Readout | None:
-    """Return how a camera moved while it took an image, by the twist of its robot; None where all rows are one time.
-
-    camera: as it was mounted then. twist: None where nothing says how the robot moved.
-    """
+    """Return how a camera moved while it took an image, by its robot's twist, if known; None if it took it at once."""
     if camera.shutter is None:
         return None
     twist = twist or UNKNOWN_TWIST
@@ -217,10 +211,7 @@ def edges_of_segments(
 
 
 def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array, Array]:
-    """Return the bearing (E,) of each edge and its sigma: the mean of its segments, weighed by their sigmas.
-
-    Segments of one edge that disagree by more than their sigmas make it as uncertain as they are apart.
-    """
+    """Return the bearing (E,) of each edge, its segments' weighted mean, and its sigma, also by how they differ."""
     ideal = camera.ideal
     each, sigma = ideal.bearings_of_segments(segments.support_px, segments.across_sigma_px)
     weight = sigma**-2
@@ -274,13 +265,10 @@ def common_error(bearing: Array, middle_e: Array, camera: Camera, mount_sigma_ra
     return CommonError(tuple(names), np.diag(variances), from_lean, from_line)
 
 
-def _with_turn(edges: Edges, ends_px: Array, readout: Readout) -> Edges:
-    """Return edges with the errors that the readout leaves: by unknown ranges, and by the turn rate, common to all.
-
-    ends_px: (E, 2, 2) undistorted.
-    """
-    rate, rate_sigma = readout.rates(ends_px)
-    turned, shifted = readout.per_turn(ends_px, rate)
+def _with_turn(edges: Edges, ideal_px: Array, readout: Readout) -> Edges:
+    """Return edges with the errors that the readout leaves: by unknown ranges, and by the turn rate, common to all."""
+    rate, rate_sigma = readout.rates(ideal_px)
+    turned, shifted = readout.per_turn(ideal_px, rate)
     common, tilt_rad = edges.common, readout.camera.mount.tilt_rad
     per_lean = geometry.bearing_per_lean(edges.bearing, tilt_rad) if abs(np.sin(tilt_rad)) > 1e-12 else np.nan
     cov = np.zeros((len(common.names) + 1, len(common.names) + 1))

@@ -147,10 +147,7 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
 
 
 def _likeliest(miss: NadirMiss, prior_sigma_rad: Array) -> Array:
-    """Return the tilt and roll (2,) of a grid of 2.5 prior sigmas that most segments and the prior speak for.
-
-    A segment is vertical or, as likely, one of clutter, whose directions are spread evenly.
-    """
+    """Return the tilt and roll (2,) of a grid that most segments, each vertical or clutter, and the prior speak for."""
     steps = np.arange(-_GRID, _GRID + 1) / _GRID * _GRID_SIGMAS
     grid = np.stack(np.meshgrid(*(steps * sigma for sigma in prior_sigma_rad), indexing="ij"), axis=-1).reshape(-1, 2)
     step_rad = _GRID_SIGMAS / _GRID * prior_sigma_rad.max()
@@ -195,8 +192,7 @@ def mount_loop(
 ) -> tuple[Array, Array, float]:
     """Return tilt, roll and lens (3,) with covariance (3, 3) that angles (S,) tell, and a factor on crooked_variance.
 
-    per_mount: (S, 3). prior_variance: (3,). more_iterations: with a factor that is learnt, until it changes by less
-    than the fraction `_SETTLED`. See `fit_mount`.
+    more_iterations: with a factor that is learnt, until it changes by less than the fraction `_SETTLED`.
     """
     state, cov, factor = np.zeros(3), np.diag(prior_variance), 1.0
     for iteration in range(_FIRST_ITERATIONS + more_iterations):

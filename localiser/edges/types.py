@@ -23,8 +23,7 @@ class CommonError:
     """Errors that move all edges of a frame together: K terms, such as tilt and roll (design equation 8).
 
     names: K names, tilt and roll first where known. cov: (K, K), rad², m² for lengths, rad²/s² for rates.
-    bearing_from_lean: (E, K) derivative of the bearing computed from lean alone. bearing_from_line: (E, K) derivative
-    of the bearing of the line held through the nadir point.
+    bearing_from_lean, bearing_from_line: (E, K) derivatives of the bearing from lean alone, and of the line's.
     """
 
     names: tuple[str, ...]
@@ -102,10 +101,7 @@ class Edges:
 
     @classmethod
     def from_bearings(cls, bearing: ArrayLike, sigma: ArrayLike) -> Edges:
-        """Return edges of which only bearings (E,) are known; sigma: (E,) or one for all. Both in rad.
-
-        Raises InputError unless all are finite and sigma is above 0.
-        """
+        """Return edges of which only bearings (E,) are known (rad). sigma: (E,) or one for all. Raises InputError."""
         bearing = finite_numbers("bearing", bearing, ("E",))
         spread = np.full(bearing.shape, finite_numbers("sigma", sigma, (), bearing.shape))
         if not (spread > 0).all():

@@ -205,7 +205,7 @@ def corners_loop(image: NDArray[np.uint8]) -> NDArray[np.uint32]:
     """Return an image (H, W) with two rows averaged to one, halves rounded to even, as squares (H // 2 - 1, W).
 
     A square is four pixels in the bytes of one number, the lowest the upper left, then the upper right, the lower left
-    and the lower right. So all four are looked up at once. There is none in the last column.
+    and the lower right, to be looked up at once. There is none in the last column.
     """
     paired = np.empty((image.shape[0] // 2, image.shape[1]), np.uint8)
     for r in range(paired.shape[0]):
@@ -233,8 +233,7 @@ def blocks_loop(
     """Return the squares of an image looked up by a `Table`, averaged over blocks of `rows`: (B, W).
 
     It is 0 outside columns first … last. Bilinear in whole numbers, which float32 holds exactly. One loop only looks
-    up. The other works on numbers that follow each other in memory, so compilers make it parallel; not where columns
-    might be negative, for which indices would count from the end.
+    up; the other works along memory, which compilers make parallel where indices cannot be negative.
     """
     flat, square = corners.ravel(), np.zeros(corner.shape[1], np.uint32)
     grey = np.zeros((len(first), corner.shape[1]), np.float32)

@@ -210,10 +210,7 @@ def _versions() -> tuple[object, ...]:
 
 
 def _told(function: Any, met: set[str]) -> Iterator[object]:
-    """Yield the content of a loop's file, and the loops and constants that are in it, wherever they are defined.
-
-    met: the files that were told already.
-    """
+    """Yield the content of a loop's file, unless met, and the loops and constants in it, wherever they are defined."""
     file = function.__code__.co_filename
     if file in met:
         return

@@ -201,10 +201,7 @@ class Increment:
 
 
 def finite_numbers(name: str, values: ArrayLike, *shapes: tuple[int | str, ...]) -> Array:
-    """Return finite numbers as a new array of one of the shapes; ("E",) stands for any length.
-
-    Raises InputError, which names the field `name`.
-    """
+    """Return finite numbers as a new array of one of the shapes; ("E",) is any length. Raises InputError of `name`."""
     try:
         found = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

@@ -25,18 +25,12 @@ def bearing_from_point(x: ArrayLike, z: ArrayLike) -> Array:
 
 
 def lean_from_bearing(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
-    """Return the lean (rad) of a vertical edge at this bearing: tan(lean) = s tan(b), 0 for every b when s = 0.
-
-    [Taylor06] eq. 7 with lean = atan(1/m), finite everywhere for |b| < pi/2.
-    """
+    """Return the lean (rad) of a vertical edge at |bearing| < pi/2: tan(lean) = 1/m = s tan(b) [Taylor06] eq. 7."""
     return np.asarray(np.arctan(np.sin(tilt_rad) * np.tan(bearing_rad)))
 
 
 def bearing_from_lean(lean_rad: ArrayLike, tilt_rad: float) -> Array:
-    """Return the bearing (rad) in (-pi/2, pi/2) of a vertical edge from its lean: tan(b) = tan(lean) / s.
-
-    Raises ValueError when the tilt is 0, where lean says nothing. [Taylor06] eq. 7.
-    """
+    """Return the bearing (rad) of a vertical edge: tan(b) = tan(lean) / s [Taylor06] eq. 7. ValueError when s is 0."""
     return np.asarray(np.arctan(np.tan(lean_rad) / sin_of_tilt(tilt_rad)))
 
 

@@ -87,10 +87,7 @@ MOST_SPEED_M_S, MOST_TURN_RAD_S = 5.0, 20.0  # faster than any robot indoors: wh
 
 @dataclass(frozen=True, slots=True)
 class Twist:
-    """Velocity in the robot's own frame: to the right and backward (m/s), turning anticlockwise (rad/s).
-
-    turn_sigma_rad_s: how certain the turn rate is, 1 sigma.
-    """
+    """Velocity in the robot's own frame: to the right and backward (m/s), turning anticlockwise (rad/s), its sigma."""
 
     right_m_s: float = 0.0
     backward_m_s: float = 0.0

@@ -62,10 +62,7 @@ class SightParameters:
         return replace(self, range_max_m=max(self.range_max_m, self.range_far_m))
 
     def in_the_open(self, range_m: Array) -> Array:
-        """Return the probability (P,) that no wall hides what is at these ranges (P,).
-
-        It is 1 up to `range_max_m`, then (range_max_m / range)⁴. Most rooms are smaller, and some corridors longer.
-        """
+        """Return the probability (P,) that no wall hides what is so far away: (range_max_m / range)⁴, at most 1."""
         return np.asarray(np.minimum(1.0, (self.range_max_m / range_m) ** 2) ** 2)
 
 

@@ -187,10 +187,7 @@ def covariance_of(model: MotionModel, increment: Increment) -> Array:
 
 
 def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple[float, float]:
-    """Return the variances (m², rad²) of the distance driven and of the turn made during `increment`.
-
-    Both are 0 for an increment that knows its own covariance.
-    """
+    """Return the variances (m², rad²) of the distance and of the turn; 0 where the increment knows its covariance."""
     if increment.cov.any():
         return 0.0, 0.0
     path, turned = increment.path_m, increment.turned_rad

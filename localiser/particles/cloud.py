@@ -214,10 +214,7 @@ def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> 
 
 
 def multinomial_resample(weight: Array, count: int, rng: np.random.Generator) -> Indices:
-    """Return `count` indices drawn independently, in ascending order [Gordon, Salmond, Smith 1993].
-
-    weight: as for `systematic_resample`, with the same errors.
-    """
+    """Return `count` ascending indices drawn independently [Gordon, Salmond, Smith 1993]; weight, errors: as above."""
     cumulative, last = _cumulative(weight)
     drawn = np.sort(rng.random(count)) * cumulative[-1]
     return np.asarray(np.minimum(np.searchsorted(cumulative, drawn, side="right"), last))
