@@ -147,9 +147,6 @@ def peaks_of(field: GradientField) -> Peaks:
     return Peaks(*peaks, compiled(links_loop)(*peaks, np.full((rows + 2, width + 2), -1, dtype=np.int32)))
 
 
-# -- loops, for numba to compile --------------------------------------------------------------------------------------
-
-
 def peaks_loop(
     smooth: NDArray[np.float32], unseen: NDArray[np.bool_], least: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int8]]:

@@ -60,9 +60,6 @@ def registered(name: str) -> str:
     return name
 
 
-# -- settings ---------------------------------------------------------------------------------------------------------
-
-
 def _dictionary(name: str) -> str:
     if name and name not in DICTIONARIES:
         raise ValueError(f"expected one of {', '.join(DICTIONARIES)}, or nothing")
@@ -254,11 +251,16 @@ def _lines(found: object) -> Array:
     return np.zeros((0, 4)) if found is None else np.asarray(found, dtype=np.float64).reshape(-1, 4)
 
 
+def segments_of_lines(lines: Array, camera: Camera, sigma_px: float) -> Segments:
+    """Return lines (S, 4) of the image as taken as segments whose ends err by sigma."""
+    ends = camera.ideal.pixels_from_image(camera.image_from_pixels(lines.reshape(-1, 2, 2)))
+    return Segments.of_ends(ends, sigma_px, camera.mount.roll_rad)
+
+
 def on_ideal_image(image: Image, camera: Camera, lines_of: Callable[[Image], Array], sigma_px: float) -> Segments:
     """Return the segments that a detector finds where lines are straight, in undistorted pixels."""
     if not camera.is_distorted:
-        ends = camera.ideal.pixels_from_image(camera.image_from_pixels(lines_of(image).reshape(-1, 2, 2)))
-        return Segments.of_ends(ends, sigma_px, camera.mount.roll_rad)
+        return segments_of_lines(lines_of(image), camera, sigma_px)
     corner, map_1, map_2, seen = _ideal_tables(camera)
     straight = np.asarray(cv2.remap(image, map_1, map_2, cv2.INTER_LINEAR), dtype=np.uint8)
     ends = lines_of(straight).reshape(-1, 2, 2)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera, Mount, MountSigma
-from localiser.edges.detectors import DETECTORS, Columns, Detector, EdgeParameters, registered
+from localiser.edges.detectors import DETECTORS, Columns, Detector, EdgeParameters, registered, segments_of_lines
 from localiser.edges.measure import edges_of_segments, polarity_of_profiles, profiles, readout_of
 from localiser.edges.mount import LENS_SIGMA, NEAR_RAD, MountError, NadirMiss, fit_mount, nadir_miss
 from localiser.edges.types import Edges, Segments
@@ -45,23 +45,21 @@ def find_edges(
     parameters, camera = parameters or EdgeParameters(), camera.at(mount)
     grey = grey_image(image, camera)
     if parameters.half_resolution:
-        edges = find_edges(
-            halved(grey),
-            half_camera(camera),
-            replace(parameters, half_resolution=False, min_length_px=parameters.min_length_px / 2),
-            twist=twist,
-            detector=detector,
-        )
+        smaller = replace(parameters, half_resolution=False, min_length_px=parameters.min_length_px / 2)
+        edges = find_edges(halved(grey), half_camera(camera), smaller, twist=twist, detector=detector)
         ends_px, rejected_px = (2.0 * pixels + 0.5 for pixels in (edges.ends_px, edges.rejected_px))
         return replace(edges, ends_px=ends_px, rejected_px=rejected_px, length_px=2.0 * edges.length_px, mount=mount)
     found = (detector or _detector_of(parameters))(grey, camera)
-    taken = found if isinstance(found, Segments) else _segments_of_lines(np.asarray(found, dtype=np.float64), camera)
-    code = np.full(len(taken), -1)
+    if not isinstance(found, Segments):
+        lines = np.asarray(found, dtype=np.float64)
+        if lines.size and (lines.ndim != 2 or lines.shape[1] != 4):
+            raise InputError(f"expected lines (S, 4) of a detector, found an array {lines.shape}", field="detector")
+        found = segments_of_lines(lines, camera, END_SIGMA_PX)
+    taken, code = found, np.full(len(found), -1)
     if parameters.markers:
         lines, codes = sides_of_markers(grey, parameters.markers)
-        sides, code = _segments_of_lines(lines.reshape(-1, 4), camera), np.concatenate([code, codes])
-        polarity = polarity_of_profiles(profiles(sides.ends_px, grey, camera))
-        sides = replace(sides, sigma_px=np.full(len(sides), _MARKER_SIGMA_PX), polarity=polarity)
+        sides, code = segments_of_lines(lines, camera, _MARKER_SIGMA_PX), np.concatenate([code, codes])
+        sides = replace(sides, polarity=polarity_of_profiles(profiles(sides.ends_px, grey, camera)))
         taken = Segments(
             *(np.concatenate([getattr(one, each.name) for one in (taken, sides)]) for each in fields(taken))
         )
@@ -97,14 +95,6 @@ def _detector_of(parameters: EdgeParameters) -> Detector:
     except ValueError as error:
         raise InputError(f"{error}, found {parameters.detector!r}", field="detector") from None
     return Columns(parameters.min_contrast) if isinstance(detector, Columns) else detector
-
-
-def _segments_of_lines(lines: Array, camera: Camera) -> Segments:
-    """Return lines (S, 4) of the image as taken as segments. Raises InputError when they have another shape."""
-    if lines.size and (lines.ndim != 2 or lines.shape[1] != 4):
-        raise InputError(f"expected lines (S, 4) of a detector, found an array {lines.shape}", field="detector")
-    ends = camera.ideal.pixels_from_image(camera.image_from_pixels(lines.reshape(-1, 2, 2)))
-    return Segments.of_ends(ends, END_SIGMA_PX, camera.mount.roll_rad)
 
 
 def warm_up(camera: Camera, parameters: EdgeParameters) -> None:
@@ -227,9 +217,6 @@ def light_of(image: Image | bytes) -> Light:
     """Return how an image (H, W) or (H, W, 3), uint8, or as a file, is exposed, at an eighth of its size."""
     some = np.asarray(decode(image, cv2.IMREAD_REDUCED_GRAYSCALE_8)) if isinstance(image, bytes) else image[::8, ::8]
     return Light(float(np.percentile(some, 95)), float((some >= SATURATED_GREY).mean()))
-
-
-# -- loops, for numba to compile --------------------------------------------------------------------------------------
 
 
 def same_edge_loop(

@@ -56,8 +56,6 @@ class Groups:
         return LineFit(*compiled(line_loop)(self.of, self.count, x.astype(np.float64), y, weight))
 
 
-# -- lines through chains of peaks ------------------------------------------------------------------------------------
-
 LEAST_BLOCKS = 3
 _PRIOR_BLOCKS = 4.0  # as how many blocks of residuals the predicted noise counts, when a line's own scatter is judged
 _TUKEY = 4.0  # blocks further from the line than this many sigmas have no say
@@ -253,9 +251,6 @@ def _width(slope: Array, height: Array, curvature: Array, cells: Cells) -> tuple
         width_squared = np.maximum(np.cbrt(squared**2 * width_squared) - leaning, _LEAST_WIDTH_PX**2)
     width = np.sqrt(width_squared)
     return width, width / 2 * _CURVATURE_SIGMA / (curved * np.sqrt(cells.blocks))
-
-
-# -- loops, for numba to compile --------------------------------------------------------------------------------------
 
 
 def samples_loop(

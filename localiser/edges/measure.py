@@ -19,8 +19,6 @@ from localiser.geometry import UNKNOWN_TWIST, Array, Twist
 
 _TYPICAL_INVERSE_RANGE = 0.4  # 1/m: rooms are some metres wide
 
-# -- the foot ---------------------------------------------------------------------------------------------------------
-
 FOOT_SIGMA_PX = 2.0  # error of an edge's lower end along it: where a line stops is least certain
 BORDER_PX = 4.0 * FOOT_SIGMA_PX  # an edge that ends so close to the image border may be cut off by it
 
@@ -40,8 +38,6 @@ def foot_of_edges(bottom_px: Array, camera: Camera, taken_px: Array | None = Non
     range_m = geometry.floor_range(camera.mount.height_m, np.where(seen, depression, np.nan))
     return range_m, geometry.floor_range_sigma(camera.mount.height_m, range_m, sigma_rad)
 
-
-# -- grey values ------------------------------------------------------------------------------------------------------
 
 PROFILE_OFFSETS_PX = np.array([-6.0, -4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0])
 _SAMPLES_ALONG = 16
@@ -161,9 +157,6 @@ def readout_of(camera: Camera, twist: Twist | None) -> Readout | None:
     in_robot = np.array([twist.right_m_s + turn * mount.back_m, twist.backward_m_s - turn * mount.right_m])
     velocity = geometry.robot_from_map(np.array([0.0, 0.0, mount.yaw_rad]), in_robot)
     return Readout(camera, velocity, turn, twist.turn_sigma_rad_s)
-
-
-# -- edges ------------------------------------------------------------------------------------------------------------
 
 
 def edges_of_segments(

@@ -179,9 +179,6 @@ def mount_error_of_edges(
     return fit_mount(miss, prior_sigma_rad, learn_crooked=True)
 
 
-# -- loops, for numba to compile --------------------------------------------------------------------------------------
-
-
 def mount_loop(
     angle: Array,
     per_mount: Array,

@@ -180,9 +180,6 @@ def complete(
     return full_bearing, bearing_sigma, full_lean, lean_sigma
 
 
-# -- segments ---------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
     """Straight segments, S of them, in undistorted pixels: those of `Camera.ideal`.

@@ -170,7 +170,7 @@ class ColumnView(ColumnGrid):
 
     def blocks(self, image: Image) -> NDArray[np.float32]:
         """Return the rectified image of a taken one (H, W), averaged over blocks of rows: (B, W) grey levels."""
-        return compiled(blocks_loop)(compiled(corners_loop)(image), *self.table, ROWS_PER_BLOCK)
+        return compiled(blocks_loop)(compiled(corners_loop)(image), self.table)
 
 
 @lru_cache(maxsize=8)
@@ -198,9 +198,6 @@ def column_view(camera: Camera) -> ColumnView:
     return ColumnView(**asdict(grid), unseen=unseen, table=_table_of(map_1, map_2, unseen, paired_shape))
 
 
-# -- loops, for numba to compile --------------------------------------------------------------------------------------
-
-
 def corners_loop(image: NDArray[np.uint8]) -> NDArray[np.uint32]:
     """Return an image (H, W) with two rows averaged to one, halves rounded to even, as squares (H // 2 - 1, W).
 
@@ -221,26 +218,19 @@ def corners_loop(image: NDArray[np.uint8]) -> NDArray[np.uint32]:
     return corners
 
 
-def blocks_loop(
-    corners: NDArray[np.uint32],
-    corner: NDArray[np.int32],
-    right: NDArray[np.uint8],
-    down: NDArray[np.uint8],
-    first: NDArray[np.int64],
-    last: NDArray[np.int64],
-    rows: int,
-) -> NDArray[np.float32]:
-    """Return the squares of an image looked up by a `Table`, averaged over blocks of `rows`: (B, W).
+def blocks_loop(corners: NDArray[np.uint32], table: Table) -> NDArray[np.float32]:
+    """Return the squares of an image looked up by a table, averaged over blocks of rows: (B, W).
 
     It is 0 outside columns first … last. Bilinear in whole numbers, which float32 holds exactly. One loop only looks
     up; the other works along memory, which compilers make parallel where indices cannot be negative.
     """
+    corner, right, down, first, last = table
     flat, square = corners.ravel(), np.zeros(corner.shape[1], np.uint32)
     grey = np.zeros((len(first), corner.shape[1]), np.float32)
     side, half = np.float32(32), np.float32(0.5)
     for b in range(len(first)):
         low, high = np.uint64(first[b]), np.uint64(last[b])
-        for r in range(b * rows, (b + 1) * rows):
+        for r in range(b * ROWS_PER_BLOCK, (b + 1) * ROWS_PER_BLOCK):
             for c in range(low, high):
                 square[c] = flat[corner[r, c]]
             for c in range(low, high):
@@ -251,5 +241,5 @@ def blocks_loop(
                 lower = lower_left * side + (lower_right - lower_left) * x
                 grey[b, c] += np.floor((upper * side + (lower - upper) * y) / (side * side) + half)
         for c in range(low, high):
-            grey[b, c] /= np.float32(rows)
+            grey[b, c] /= np.float32(ROWS_PER_BLOCK)
     return grey

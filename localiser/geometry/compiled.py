@@ -38,9 +38,6 @@ _CHECKSUM_BYTES = 32
 _OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}(\.[0-9a-f]{8})?")  # the latter: a draft
 
 
-# -- how loops are compiled -------------------------------------------------------------------------------------------
-
-
 def inlined(function: F) -> F:
     """Compile a part of loops over particles; it is inlined into the caller, where shapes are constant."""
     return cast(F, _with_numba(function, forceinline=True, no_cpython_wrapper=True, **_RULES))

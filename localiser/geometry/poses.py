@@ -151,9 +151,6 @@ def ros_cov_from_cov(cov: ArrayLike) -> Array:
     return np.asarray(np.asarray(cov, dtype=np.float64) * sign[:, None] * sign[None, :])
 
 
-# -- a motion with its covariance, and the path that led to it --------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Increment:
     """A motion of the robot between two instants, from wheels or from vision.
@@ -195,9 +192,6 @@ class Increment:
             float(self.turned_rad + later.turned_rad),
             jac_self @ self.by_delay + jac_later @ later.by_delay,
         )
-
-
-# -- numbers that a caller gives, checked where they come in ----------------------------------------------------------
 
 
 def finite_numbers(name: str, values: ArrayLike, *shapes: tuple[int | str, ...]) -> Array:

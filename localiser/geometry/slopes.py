@@ -46,16 +46,10 @@ def edge_a_at(e: ArrayLike, bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     return np.asarray(np.tan(bearing_rad) * (np.cos(tilt_rad) + e * np.sin(tilt_rad)))
 
 
-# -- How certain a bearing is -----------------------------------------------------------------------------------------
-
-
 def bearing_per_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     """Return J = d(bearing)/d(lean) = (cos²b + s² sin²b) / s. Raises ValueError when the tilt is 0."""
     s = sin_of_tilt(tilt_rad)
     return np.asarray((np.cos(bearing_rad) ** 2 + s**2 * np.sin(bearing_rad) ** 2) / s)
-
-
-# -- Floor contact of an edge (inverse perspective mapping) -----------------------------------------------------------
 
 
 def floor_range(height_m: ArrayLike, depression_rad: ArrayLike) -> Array:

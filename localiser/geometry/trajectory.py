@@ -78,8 +78,6 @@ def without_pauses(t_ns: ArrayLike, longest_ns: int) -> NDArray[np.int64]:
     return np.concatenate([times[:1], times[:1] + np.cumsum(steps)])
 
 
-# -- how fast a robot moves -------------------------------------------------------------------------------------------
-
 WHEELS_SHARE = 0.05  # by which wheels may misjudge a turn, 1 sigma
 USUAL_TURN_RAD_S = 0.5  # turn rate of a robot of which nothing is known, 1 sigma
 MOST_SPEED_M_S, MOST_TURN_RAD_S = 5.0, 20.0  # faster than any robot indoors: wheels that say more count anew

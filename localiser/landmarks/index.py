@@ -110,9 +110,6 @@ def in_view_of_cells(
     return entry(in_view_of_cells_loop)(run, low, per_unit, shape, offset, *camera, *reach.arguments)
 
 
-# -- loops, for numba to compile --------------------------------------------------------------------------------------
-
-
 def within_reach_loop(
     points: Array, low: Array, piece_m: float, shape: tuple[int, int], radius_m: float
 ) -> tuple[Indices, NDArray[np.int32]]:
