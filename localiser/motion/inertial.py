@@ -12,8 +12,6 @@ Where its length is not that of gravity, it counts for less.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -21,68 +19,47 @@ from numpy.typing import NDArray
 from localiser.geometry import Array
 
 GRAVITY_M_S2 = 9.80665
+_RATE_PER_SQRT_S = 2e-3  # error of the gyroscope, rad/√s
+_BIAS_RAD_S, _BIAS_PER_SQRT_S = 0.01, 1e-4  # its constant error, and how fast that walks
+_ACCELERATING, _CORRELATED_S = 0.03, 1.0  # of the robot, as a part of gravity, for about so long at a time
 _BEGIN_NS = 50_000_000  # of the first samples that say which way is up, before the robot can have leant
 
 
-@dataclass(frozen=True, slots=True)
-class InertialNoise:
-    """Errors of an inertial sensor on a robot.
-
-    rate_per_sqrt_s: of the gyroscope, rad/√s. bias_rad_s: its constant error, and bias_per_sqrt_s: how fast that walks.
-    accelerating: of the robot, as a part of gravity, for about correlated_s at a time.
-    """
-
-    rate_per_sqrt_s: float = 2e-3
-    bias_rad_s: float = 0.01
-    bias_per_sqrt_s: float = 1e-4
-    accelerating: float = 0.03
-    correlated_s: float = 1.0
-
-
-def up_of(
-    t_ns: NDArray[np.int64], rate_rad_s: Array, acceleration_m_s2: Array, noise: InertialNoise | None = None
-) -> tuple[Array, Array]:
+def up_of(t_ns: NDArray[np.int64], rate_rad_s: Array, acceleration_m_s2: Array) -> tuple[Array, Array]:
     """Return which way is up (T, 3) in the sensor's axes, unit vectors, and the covariance of its attitude (T, 3, 3).
 
     t_ns: (T,) ascending. rate_rad_s, acceleration_m_s2: (T, 3) as measured; at rest the acceleration points up, as
     ROS has it. The covariance is of small turns about the sensor's axes, rad².
     """
-    noise = noise or InertialNoise()
     up, cov = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
     attitude = _first(acceleration_m_s2[: max(np.searchsorted(t_ns, t_ns[0] + _BEGIN_NS), 1)].mean(axis=0))
     bias = np.zeros(3)
-    p = np.diag([noise.accelerating**2] * 3 + [noise.bias_rad_s**2] * 3)
+    p = np.diag([_ACCELERATING**2] * 3 + [_BIAS_RAD_S**2] * 3)
     for k, t in enumerate(t_ns):
         step_s = 0.0 if k == 0 else float(t - t_ns[k - 1]) / 1e9
         if k:
-            turned = (rate_rad_s[k] + rate_rad_s[k - 1]) / 2 - bias
-            attitude, p = _predicted(attitude, p, turned * step_s, step_s, noise)
-        attitude, bias, p = _corrected(attitude, bias, p, acceleration_m_s2[k], max(step_s, 1e-3), noise)
+            turning = cv2.Rodrigues(((rate_rad_s[k] + rate_rad_s[k - 1]) / 2 - bias) * step_s)[0]
+            f = np.eye(6)
+            f[:3, :3], f[:3, 3:] = turning.T, -step_s * np.eye(3)
+            q = np.repeat([_RATE_PER_SQRT_S**2 * step_s, _BIAS_PER_SQRT_S**2 * step_s], 3)
+            attitude, p = attitude @ turning, f @ p @ f.T + np.diag(q)
+        attitude, bias, p = _corrected(attitude, bias, p, acceleration_m_s2[k], max(step_s, 1e-3))
         up[k], cov[k] = attitude[2], p[:3, :3]
     return up, cov
 
 
-def _predicted(attitude: Array, p: Array, turn: Array, step_s: float, noise: InertialNoise) -> tuple[Array, Array]:
-    """Return the attitude, level from sensor (3, 3), and the covariance (6, 6) after a turn (3,) about its axes."""
-    turning = cv2.Rodrigues(turn)[0]
-    f = np.eye(6)
-    f[:3, :3], f[:3, 3:] = turning.T, -step_s * np.eye(3)
-    q = np.repeat([noise.rate_per_sqrt_s**2 * step_s, noise.bias_per_sqrt_s**2 * step_s], 3)
-    return attitude @ turning, f @ p @ f.T + np.diag(q)
-
-
 def _corrected(
-    attitude: Array, bias: Array, p: Array, acceleration: Array, step_s: float, noise: InertialNoise
+    attitude: Array, bias: Array, p: Array, acceleration: Array, step_s: float
 ) -> tuple[Array, Array, Array]:
-    """Return attitude, bias and covariance after the accelerometer said which way is up."""
+    """Return attitude, level from sensor (3, 3), bias and covariance (6, 6) after the accelerometer said what is up."""
     length = float(np.linalg.norm(acceleration))
     if length < 0.1 * GRAVITY_M_S2:  # falling
         return attitude, bias, p
-    up = attitude[2]
+    x, y, z = up = attitude[2]
     h = np.zeros((3, 6))
-    h[:, :3] = _cross(up)
-    variance = noise.accelerating**2 + (length / GRAVITY_M_S2 - 1.0) ** 2
-    variance *= max(noise.correlated_s / step_s, 1.0)  # samples within that time err together
+    h[:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]  # the cross product with up
+    variance = _ACCELERATING**2 + (length / GRAVITY_M_S2 - 1.0) ** 2
+    variance *= max(_CORRELATED_S / step_s, 1.0)  # samples within that time err together
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + variance * np.eye(3))
     change = gain @ (acceleration / length - up)
     p = (np.eye(6) - gain @ h) @ p
@@ -95,8 +72,3 @@ def _first(acceleration: Array) -> Array:
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     side /= np.linalg.norm(side)
     return np.array([side, np.cross(up, side), up])
-
-
-def _cross(v: Array) -> Array:
-    """Return the matrix (3, 3) of the cross product with v (3,)."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
