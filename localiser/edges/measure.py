@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import cv2
@@ -184,10 +184,19 @@ def edges_of_segments(
     pieces_px = groups.sum(np.linalg.norm(segments.ends_px[:, 1] - segments.ends_px[:, 0], axis=-1))
     polarity = np.zeros(groups.count, dtype=np.int8)
     polarity[edge] = segments.polarity
-    taken_of = None if readout is None else partial(readout.as_taken, rate=readout.rates(ideal_px)[0])
-    shown_px = ends_px if taken_of is None else camera.pixels_from_image(ideal.image_from_pixels(taken_of(ideal_px)))
+    taken_of, turn, shown_px = None, None, ends_px
+    if readout is not None:
+        # The readout leaves errors by unknown ranges, and by the turn rate, which is common to all edges.
+        rate, rate_sigma = readout.rates(ideal_px)
+        taken_of = partial(readout.as_taken, rate=rate)
+        shown_px = camera.pixels_from_image(ideal.image_from_pixels(taken_of(ideal_px)))
+        turned, shifted = readout.per_turn(ideal_px, rate)
+        bearing_sigma = np.hypot(bearing_sigma, shifted * rate_sigma)
+        lean_sigma, tilt_rad = np.hypot(lean_sigma, turned * rate_sigma), camera.mount.tilt_rad
+        per_lean = geometry.bearing_per_lean(bearing, tilt_rad) if abs(np.sin(tilt_rad)) > 1e-12 else np.nan
+        turn = readout.turn_sigma_rad_s, per_lean * turned, shifted
     foot_range, foot_sigma = foot_of_edges(ends_px[:, 0], camera, shown_px[:, 0])
-    edges = Edges.from_columns(
+    return Edges.from_columns(
         bearing,
         bearing_sigma,
         lean,
@@ -198,9 +207,8 @@ def edges_of_segments(
         foot_range_m=foot_range,
         foot_range_sigma_m=foot_sigma,
         profile=profiles(ideal_px, image, camera, taken_of),
-        common=common_error(bearing, middle_e, camera, mount_sigma_rad),
+        common=common_error(bearing, middle_e, camera, mount_sigma_rad, turn),
     )
-    return edges if readout is None else _with_turn(edges, ideal_px, readout)
 
 
 def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array, Array]:
@@ -236,44 +244,28 @@ def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[
     return lean, np.cos(lean) ** 2 / np.sqrt(fit.spread), np.stack([a, e], axis=-1), fit.x
 
 
-def common_error(bearing: Array, middle_e: Array, camera: Camera, mount_sigma_rad: Array) -> CommonError:
+def common_error(
+    bearing: Array,
+    middle_e: Array,
+    camera: Camera,
+    mount_sigma_rad: Array,
+    turn: tuple[float, Array, Array] | None = None,
+) -> CommonError:
     """Return what an error of tilt and roll (2,) does to the bearings (E,) of a frame (design equation 8).
 
-    And what other errors of the mount do, where their sigma is stated; of an offset, at a typical range.
+    And what other errors of the mount do, where their sigma is stated; of an offset, at a typical range. turn: sigma of
+    the turn rate, and what it does to bearings (E,) from lean and line, where a shutter rolls.
     """
     from_lean, from_line = camera.bearing_jacobians(bearing, middle_e)
-    names, variances = ["tilt", "roll"], list(mount_sigma_rad**2)
     stated, zero = camera.mount.sigma or MountSigma(), np.zeros_like(bearing)
-    others = {
-        "yaw": (stated.yaw_rad, zero + 1.0),
-        "height": (stated.height_m, zero),
-        "right": (stated.right_m, -np.cos(bearing) * _TYPICAL_INVERSE_RANGE),
-        "back": (stated.back_m, -np.sin(bearing) * _TYPICAL_INVERSE_RANGE),
-    }
-    for name, (sigma, per_unit) in others.items():
-        if sigma:
-            names.append(name)
-            variances.append(sigma**2)
-            from_lean, from_line = np.column_stack([from_lean, per_unit]), np.column_stack([from_line, per_unit])
-    return CommonError(tuple(names), np.diag(variances), from_lean, from_line)
-
-
-def _with_turn(edges: Edges, ideal_px: Array, readout: Readout) -> Edges:
-    """Return edges with the errors that the readout leaves: by unknown ranges, and by the turn rate, common to all."""
-    rate, rate_sigma = readout.rates(ideal_px)
-    turned, shifted = readout.per_turn(ideal_px, rate)
-    common, tilt_rad = edges.common, readout.camera.mount.tilt_rad
-    per_lean = geometry.bearing_per_lean(edges.bearing, tilt_rad) if abs(np.sin(tilt_rad)) > 1e-12 else np.nan
-    cov = np.zeros((len(common.names) + 1, len(common.names) + 1))
-    cov[:-1, :-1], cov[-1, -1] = common.cov, readout.turn_sigma_rad_s**2
-    return replace(
-        edges,
-        bearing_sigma=np.hypot(edges.bearing_sigma, shifted * rate_sigma),
-        lean_sigma=np.hypot(edges.lean_sigma, turned * rate_sigma),
-        common=CommonError(
-            (*common.names, TURN_RATE),
-            cov,
-            np.column_stack([common.bearing_from_lean, per_lean * turned]),
-            np.column_stack([common.bearing_from_line, shifted]),
-        ),
-    )
+    of_mount = [
+        ("yaw", stated.yaw_rad, zero + 1.0),
+        ("height", stated.height_m, zero),
+        ("right", stated.right_m, -np.cos(bearing) * _TYPICAL_INVERSE_RANGE),
+        ("back", stated.back_m, -np.sin(bearing) * _TYPICAL_INVERSE_RANGE),
+    ]
+    others = [(name, sigma, by, by) for name, sigma, by in of_mount if sigma] + ([(TURN_RATE, *turn)] if turn else [])
+    names, sigmas, by_lean, by_line = zip(*others, strict=True) if others else ((), (), (), ())
+    cov = np.diag([*mount_sigma_rad**2, *np.square(sigmas)])
+    columns = np.column_stack([from_lean, *by_lean]), np.column_stack([from_line, *by_line])
+    return CommonError(("tilt", "roll", *names), cov, *columns)
