@@ -72,7 +72,7 @@ def seen_from(bearing: float, inverse: float, x: float, z: float, turn: float) -
 def _seen_with_slopes(
     bearing: float, inverse: float, x: float, z: float, turn: float, by_twist: Array, slopes: Array
 ) -> tuple[float, float]:
-    """Return bearing and inverse range in the second frame, and write their derivatives (2, 5) by b, ρ and twist."""
+    """Return bearing and inverse range in the second image, and write their derivatives (2, 5) by b, ρ and twist."""
     seen, right, back, distance = seen_from(bearing, inverse, x, z, turn)
     square, sin, cos = distance * distance, np.sin(bearing), np.cos(bearing)
     for row in range(2):
@@ -167,7 +167,7 @@ def pair_odds(images: TwoImages, usable: NDArray[np.bool_], unknown: Array, cov:
         apart = abs(_wrapped(two.measured[f, 0] - one.measured[e, 0] - turn))
         if not usable[p] or apart > reach + nearest * moved:
             continue
-        # The feet in both frames, as one inverse range from the first camera, and how well they agree.
+        # The feet in both images, as one inverse range from the first camera, and how well they agree.
         common, foot_var, agreement = one.common[e, 1], one.sigma[e, 1] ** 2, 1.0
         foot = one.measured[e, 1] - _dot(common, wrong)
         later = two.measured[f, 1] - _dot(two.common[f, 1], wrong)
@@ -260,9 +260,7 @@ def _equations(
     An equation is 0 where nothing is measured.
     """
     x, z, by_twist = moved
-    for r in range(5):
-        for k in range(rows.shape[1]):
-            rows[r, k] = 0.0
+    rows[:] = 0.0
     rows[0, 0] = rows[1, 1] = rows[4, 1] = 1.0
     seen, inverse = _seen_with_slopes(edge[0], edge[1], x, z, unknown[2], by_twist, rows[2:4])
     expected = (edge[0], edge[1], seen, inverse)
@@ -277,8 +275,7 @@ def _equations(
             residual = _wrapped(residual)
         scale, rows[r, -1] = np.sqrt(weight / variance), residual - _dot(common, unknown[3:])
         is_known = not (np.isnan(scale) or np.isnan(residual))
-        for k in range(len(common)):
-            rows[r, 5 + k] = common[k]
+        rows[r, 5 : 5 + len(common)] = common
         for k in range(rows.shape[1]):
             rows[r, k] = scale * rows[r, k] if is_known else 0.0
     rows[4, 1], rows[4, -2] = 1.0 / TYPICAL_SPREAD, -1.0 / TYPICAL_SPREAD
@@ -286,7 +283,7 @@ def _equations(
 
 
 @compiled
-def solve(  # noqa: PLR0912  (one unknown after another)
+def solve(
     images: TwoImages, chosen: Indices, weight: Array, floor: Array, start: Array, mean: Array, information: Array
 ) -> tuple[Array, Array]:
     """Return the unknowns (U,) that explain the chosen pairs (M,) best, and their covariance (U, U or more).
@@ -308,35 +305,30 @@ def solve(  # noqa: PLR0912  (one unknown after another)
         edge[m, 1] = TYPICAL_INVERSE_RANGE if np.isnan(foot) or floor[m] < 0.5 else foot
     rows, own, total = np.empty((5, size + 3)), np.empty((count, size + 2, size + 3)), np.empty((size, size + 1))
     for _ in range(_STEPS):
+        total[:, size] = 0.0
+        total[:, :size] = information
         for i in range(size):
-            total[i, size] = 0.0
             for j in range(size):
-                total[i, j] = information[i, j]
                 total[i, size] += information[i, j] * (mean[j] - unknown[j])
         moved = camera_moved(unknown, images.mount)
         for m in range(count):
             _equations(images, chosen[m], edge[m], moved, unknown, floor[m], rows)
+            own[m] = 0.0
             for i in range(size + 2):
-                for j in range(size + 3):
-                    own[m, i, j] = 0.0
                 for r in range(5):
                     scaled = weight[m] * rows[r, i]
                     if scaled != 0.0:
                         for j in range(size + 3):
                             own[m, i, j] += scaled * rows[r, j]
             eliminate(own[m], 2)
-            for i in range(size):
-                for j in range(size + 1):
-                    total[i, j] += own[m, 2 + i, 2 + j]
+            total += own[m, 2:, 2:]
         eliminate(total, size)
-        is_small = True
-        for i in range(size):
-            unknown[i] += total[i, size]
-            is_small = is_small and abs(total[i, size]) < _SMALL_STEP
+        step = total[:, size]
+        unknown += step
         for m in range(count):
             for a in range(2):
-                edge[m, a] += own[m, a, size + 2] - _dot(own[m, a, 2:-1], total[:, size])
-        if is_small:
+                edge[m, a] += own[m, a, size + 2] - _dot(own[m, a, 2:-1], step)
+        if np.abs(step).max() < _SMALL_STEP:
             break
     return unknown, total
 
