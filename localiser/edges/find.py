@@ -156,7 +156,8 @@ def vertical_segments(
 
 def _is_met(miss: NadirMiss, mount: MountError, gate_sigma: float) -> NDArray[np.bool_]:
     """Return (S,) whether segments point at the nadir point as well as a vertical edge would."""
-    angle, by_mount = miss.corrected(mount)
+    angle = miss.angle + miss.per_mount @ mount.state
+    by_mount = ((miss.per_mount @ mount.state_cov) * miss.per_mount).sum(axis=1)
     allowed = gate_sigma * np.sqrt(miss.sigma**2 + (mount.crooked * miss.crooked) ** 2 + by_mount)
     return np.asarray((np.abs(angle) <= allowed) & (allowed < _VAGUE_RAD))
 

@@ -68,7 +68,7 @@ _CLIPPED_SIGMA_PX = 1 / np.sqrt(12.0)
 """Where the lighter side is clipped, the fraction of the edge's pixel that it covers is unknown, and it changes along
 the edge with the light."""
 _MARGIN_BLOCKS = 2
-_ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)  # of that average's reach, in blocks squared
+_ALONG_VARIANCE = float(ALONG @ np.arange(-2.0, 3.0) ** 2)  # of the average over neighbouring blocks
 _WIDTH_ITERATIONS = 4
 _LEAST_WIDTH_PX = 0.5 * SCALE_PX
 

@@ -65,11 +65,6 @@ class NadirMiss:
     sigma: Array
     crooked: Array
 
-    def corrected(self, mount: MountError) -> tuple[Array, Array]:
-        """Return the angle (S,) under the corrected mount, and its variance by what remains uncertain of that."""
-        remaining = ((self.per_mount @ mount.state_cov) * self.per_mount).sum(axis=1)
-        return self.angle + self.per_mount @ mount.state, remaining
-
     def take(self, index: NDArray[np.bool_]) -> NadirMiss:
         """Return the angles of some segments."""
         return NadirMiss(self.angle[index], self.per_mount[index], self.sigma[index], self.crooked[index])

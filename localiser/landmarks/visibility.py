@@ -6,6 +6,7 @@ Tests compare compiled loops, which repeat a part of it for speed, with these pl
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -144,6 +145,7 @@ def image_heights(camera: Camera, ahead_m: Array, bottom_m: Array, top_m: Array)
     return np.where(bottom, -np.inf, e[0]), np.where(top, np.inf, e[1])
 
 
+@lru_cache(maxsize=16)
 def widest_tangent(camera: Camera, parameters: SightParameters) -> float:
     """Return a bound on |tan(bearing)| inside the image: at its narrow end, where c + e s is smallest."""
     a_left, a_right, e_low, e_high = camera.upright_bounds
@@ -153,6 +155,7 @@ def widest_tangent(camera: Camera, parameters: SightParameters) -> float:
     return (max(-a_left, a_right) + margin) / nearest if nearest > 1e-6 else np.inf
 
 
+@lru_cache(maxsize=16)
 def field_of_view_rad(camera: Camera) -> float:
     """Return the angle between the bearings of the image's left and right border, on its middle row."""
     a_left, a_right, _, _ = camera.upright_bounds
@@ -160,6 +163,7 @@ def field_of_view_rad(camera: Camera) -> float:
     return float(right - left)
 
 
+@lru_cache(maxsize=16)
 def half_view_rad(camera: Camera) -> float:
     """Return the largest angle to either side that the image sees, at whichever height it sees widest."""
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
