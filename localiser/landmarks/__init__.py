@@ -1,13 +1,7 @@
 """The landmark map, its index by place, and how a landmark is seen from a pose."""
 
-from localiser.landmarks.index import (
-    Reach,
-    in_view_of_cells,
-    reach_of,
-)
-from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality, kept_with
+from localiser.landmarks.landmark_map import FRAME, LandmarkMap, Quality, Reach, in_view_of_cells, kept_with, reach_of
 from localiser.landmarks.visibility import (
-    Sight,
     SightParameters,
     field_of_view_rad,
     half_view_rad,

@@ -1,4 +1,8 @@
-"""The landmark map: vertical edges of a building, where they stand and how well that is known."""
+"""The landmark map: vertical edges of a building, where they stand and how well that is known; its index by place.
+
+Lists of landmarks by piece of floor are kept with the map, so that looking for those near a pose costs the same however
+large it is.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled, entry
 
+Indices = NDArray[np.int64]
 Kept = TypeVar("Kept")
 FRAME = {"axes": "x right, y up, z backward", "units": "m"}
+PIECE_M = 4.0
+MOST_PIECES = 1 << 21  # of the floor; larger ones where a map has landmarks very far apart
+_MARGIN_M = 4.0  # beyond the range: for cells of poses, and for a camera ahead of its robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,3 +154,176 @@ def kept_with(landmark_map: LandmarkMap, key: tuple[Any, ...], make: Callable[[]
         kept[key] = make()
     found: Kept = kept[key]
     return found
+
+
+# -- by place ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reach:
+    """The floor in pieces (X, Z), and the landmarks within `radius_m` of any point of each.
+
+    low: (2,) corner, per_m: pieces in a metre, 0 where one piece is the whole plane. start: (X·Z + 1,) and item: the
+    list of piece k = x · Z + z is item[start[k] : start[k + 1]], ascending. Beyond the pieces there are none.
+    """
+
+    low: Array
+    per_m: float
+    shape: tuple[int, int]
+    start: Indices
+    item: NDArray[np.int32]
+    radius_m: float
+
+    @classmethod
+    def of(cls, points: Array, radius_m: float) -> Reach:
+        """Return the lists of landmarks (L, 2), L > 0."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        low, high = points.min(axis=0) - radius_m, points.max(axis=0) + radius_m
+        piece_m = PIECE_M
+        while np.prod(np.ceil((high - low) / piece_m)) > MOST_PIECES:
+            piece_m *= 2.0
+        columns, rows = np.maximum(np.ceil((high - low) / piece_m), 1).astype(np.int64).tolist()
+        start, item = compiled(within_reach_loop)(points, low, piece_m, (columns, rows), radius_m)
+        return cls(low, 1.0 / piece_m, (columns, rows), start, item, radius_m)
+
+    @classmethod
+    def everything(cls, count: int) -> Reach:
+        """Return one list of all landmarks, for poses of which nothing is known."""
+        start, item = np.array([0, count]), np.arange(count, dtype=np.int32)
+        return cls(np.zeros(2), 0.0, (1, 1), start, item, np.inf)
+
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """What loops over it take."""
+        return self.low, self.per_m, self.shape, self.start, self.item
+
+    def beside(self, points: Array) -> Indices:
+        """Return the landmarks, ascending, that may be within reach of any of the points (N, 2), and few others."""
+        if self.per_m == 0.0:
+            return self.item.astype(np.int64)
+        place = np.floor((points - self.low) * self.per_m)
+        inside = ((place >= 0) & (place < self.shape)).all(axis=1)
+        x, z = place[inside].astype(np.int64).T
+        pieces = np.unique(x * self.shape[1] + z)
+        lists = [self.item[self.start[k] : self.start[k + 1]] for k in pieces.tolist()]
+        return np.unique(np.concatenate([*lists, np.zeros(0, np.int32)])).astype(np.int64)
+
+
+def reach_of(landmark_map: LandmarkMap, range_m: float) -> Reach:
+    """Return which landmarks a camera may see that sees so far, from every piece of the floor."""
+
+    def make() -> Reach:
+        points = landmark_map.points
+        return Reach.of(points, range_m + _MARGIN_M) if len(points) else Reach.everything(0)
+
+    return kept_with(landmark_map, ("reach", range_m), make)
+
+
+def in_view_of_cells(
+    run: Indices,
+    low: Array,
+    per_unit: Array,
+    shape: Indices,
+    points: Array,
+    half_view_rad: float,
+    range_max_m: float,
+    reach: Reach,
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> tuple[Indices, NDArray[np.int32]]:
+    """Return start (cells + 1,) and item: landmarks item[start[c] : start[c + 1]] can be in view from cell c.
+
+    run: (cells + 1,) ascending; cells that it does not grow by are left empty. Cells start at `low` (3,) x, z, heading,
+    per_unit (3,) in a unit, shape (3,) in all. points: (L, 2 or more) x, z. reach: of the same landmarks; where cells
+    are larger than it is made for, all landmarks are looked at. offset: of the camera from the poses that are meant:
+    right, back (m), yaw (rad).
+    """
+    slack = 0.5 * np.hypot(*(1.0 / per_unit[:2])) + np.hypot(*offset[:2]) * 0.5 / per_unit[2]
+    if range_max_m + slack > reach.radius_m:
+        reach = Reach.everything(len(points))
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    camera = points, half_view_rad, range_max_m
+    return entry(in_view_of_cells_loop)(run, low, per_unit, shape, offset, *camera, *reach.arguments)
+
+
+def within_reach_loop(
+    points: Array, low: Array, piece_m: float, shape: tuple[int, int], radius_m: float
+) -> tuple[Indices, NDArray[np.int32]]:
+    """Return start (X·Z + 1,) and item: the landmarks within a radius of any point of each piece of the floor."""
+    columns, rows = shape
+    start = np.zeros(columns * rows + 2, np.int64)
+    item = np.empty(0, np.int32)
+    for is_writing in (False, True):
+        for k in range(len(points)):
+            x, z = points[k, 0] - low[0], points[k, 1] - low[1]
+            first, last = int((x - radius_m) / piece_m), int((x + radius_m) / piece_m)
+            for i in range(max(first, 0), min(last, columns - 1) + 1):
+                aside = max(i * piece_m - x, x - (i + 1) * piece_m, 0.0)
+                left = np.sqrt(max(radius_m * radius_m - aside * aside, 0.0))
+                begin, end = int((z - left) / piece_m), int((z + left) / piece_m)
+                for j in range(max(begin, 0), min(end, rows - 1) + 1):
+                    piece = i * rows + j
+                    if is_writing:
+                        item[start[piece + 1]] = k
+                        start[piece + 1] += 1
+                    else:
+                        start[piece + 2] += 1
+        if not is_writing:
+            for piece in range(len(start) - 1):
+                start[piece + 1] += start[piece]
+            item = np.empty(start[len(start) - 1], np.int32)
+    return start[:-1].copy(), item
+
+
+def in_view_of_cells_loop(
+    run: Indices,
+    low: Array,
+    per_unit: Array,
+    shape: Indices,
+    offset: tuple[float, float, float],
+    points: Array,
+    half_view_rad: float,
+    farthest_m: float,
+    reach_low: Array,
+    reach_per_m: float,
+    reach_shape: tuple[int, int],
+    reach_start: Indices,
+    reach_item: NDArray[np.int32],
+) -> tuple[Indices, NDArray[np.int32]]:
+    """Return what `in_view_of_cells` returns. reach_…: see `Reach`.
+
+    Never one too few: what a camera sees lies between two planes through it and within range; for a whole cell the
+    planes are moved apart by its half diagonal and turned by half its width in heading.
+    """
+    right, back, yaw = offset
+    start, item = np.zeros(len(run), np.int64), np.empty(1024, np.int32)
+    half_turn = 0.5 / per_unit[2]
+    slack = 0.5 * np.hypot(1.0 / per_unit[0], 1.0 / per_unit[1]) + np.hypot(right, back) * half_turn
+    sin_view, cos_view = np.sin(half_view_rad + half_turn), np.cos(half_view_rad + half_turn)
+    is_wedge = half_view_rad + half_turn < np.pi / 2
+    used = 0
+    for c in range(len(run) - 1):
+        if run[c + 1] > run[c]:
+            heading = low[2] + (c % shape[2] + 0.5) / per_unit[2]
+            x = low[0] + (c // shape[2] // shape[1] + 0.5) / per_unit[0]
+            z = low[1] + (c // shape[2] % shape[1] + 0.5) / per_unit[1]
+            x += np.cos(heading) * right + np.sin(heading) * back
+            z += np.cos(heading) * back - np.sin(heading) * right
+            cos, sin = np.cos(heading + yaw), np.sin(heading + yaw)
+            i, j = np.floor((x - reach_low[0]) * reach_per_m), np.floor((z - reach_low[1]) * reach_per_m)
+            first, last = 0, 0
+            if i >= 0 and j >= 0 and i < reach_shape[0] and j < reach_shape[1]:
+                piece = int(i) * reach_shape[1] + int(j)
+                first, last = reach_start[piece], reach_start[piece + 1]
+            if used + last - first > len(item):
+                item = np.concatenate((item, np.empty(len(item) + last - first, np.int32)))
+            for place in range(first, last):
+                k = reach_item[place]
+                dx, dz = points[k, 0] - x, points[k, 1] - z
+                aside, ahead = abs(dx * cos - dz * sin), -(dx * sin + dz * cos)
+                inside = dx * dx + dz * dz <= (farthest_m + slack) ** 2
+                if is_wedge:
+                    inside = inside & (ahead * sin_view - aside * cos_view >= -slack)
+                item[used] = k
+                used += inside
+        start[c + 1] = used
+    return start, item[:used].copy()

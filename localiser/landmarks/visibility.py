@@ -15,8 +15,7 @@ from pydantic import Field
 
 from localiser.camera import Camera
 from localiser.geometry import Array, robot_from_map
-from localiser.landmarks.index import reach_of
-from localiser.landmarks.landmark_map import LandmarkMap
+from localiser.landmarks.landmark_map import LandmarkMap, reach_of
 
 FEW = 1000  # landmarks, up to which all are looked at
 

@@ -25,7 +25,7 @@ from localiser.landmarks import (
     visibility,
     visible_length_px,
 )
-from localiser.landmarks.index import MOST_PIECES, PIECE_M
+from localiser.landmarks.landmark_map import MOST_PIECES, PIECE_M
 
 MARGIN_NONE = SightParameters(range_max_m=8.0, range_min_m=0.3, length_min_px=20.0, margin_px=0.0)
 

@@ -9,9 +9,10 @@ from localiser.geometry import wrap_angle
 from localiser.particles import (
     POSE,
     Particles,
-    clusters,
+    cells_of,
     effective_sample_size,
     estimate,
+    find_clusters,
     from_gaussian,
     log_sum,
     multinomial_resample,
@@ -19,7 +20,6 @@ from localiser.particles import (
     systematic_resample,
     take,
 )
-from localiser.particles.clusters import find_clusters
 
 
 def particles_of(columns, log_weight=None, names=POSE, circular=("heading",)):
@@ -242,9 +242,9 @@ def test_cells_are_counted_once_and_close_around_the_circle():
     poses = np.array(
         [[0.1, 0.1, 0.1], [0.2, 0.9, 0.2], [-0.1, 0.1, 0.1], [0.1, 0.1, 0.1 + 2 * np.pi], [0.1, 0.1, -0.1]]
     )
-    assert clusters.cells_of(poses, 1.0, quarter).max() + 1 == 3
-    assert clusters.cells_of(poses, 1.0, 2 * np.pi).max() + 1 == 2
-    assert clusters.cells_of(poses, 0.5, quarter).max() + 1 == 4
+    assert cells_of(poses, 1.0, quarter).max() + 1 == 3
+    assert cells_of(poses, 1.0, 2 * np.pi).max() + 1 == 2
+    assert cells_of(poses, 0.5, quarter).max() + 1 == 4
 
 
 def cloud(mean, sigma, count, seed):
