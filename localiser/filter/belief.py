@@ -162,7 +162,8 @@ class Belief:
         if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.parameters.particles_most) if is_tracked else search.parameters.particles_most
-        return replace(belief, unproposed=0.0, history=belief.history.with_image(sighting))._resampled(most, rng)
+        candidates = None if belief.candidates is None else belief.candidates.resampled(most, rng)
+        return replace(belief, candidates=candidates, unproposed=0.0, history=belief.history.with_image(sighting))
 
     def _judged(
         self, search: GlobalLocalisation, found: Weighed | None, sighting: Sighting, sees: bool, jump: Jump, move: Move
@@ -195,7 +196,18 @@ class Belief:
         support = min(explained, MOST_SUPPORT)
         belief = replace(belief, candidates=candidates, detections=detections, shown=shown, support=support)
         belief = replace(belief, history=replace(belief.history, limits=belief.history.limits + limits))
-        return belief._weighed(log_tracked + blind * log_bare, log_elsewhere, log_bare)
+        log_tracked += blind * log_bare
+        top = max(log_tracked, log_elsewhere if belief.elsewhere > 0 else 0.0, 0.0)
+        others = float(np.exp(-top))  # the likelihood of what else there is, relative to the largest
+        return replace(
+            belief,
+            tracked=belief.tracked * float(np.exp(log_tracked - top)),
+            unmapped=belief.unmapped * float(np.exp(log_bare - top)),
+            elsewhere=belief.elsewhere * float(np.exp(log_elsewhere - top)),
+            unexplored=belief.unexplored * others,
+            off_map=belief.off_map * others,
+            history=replace(belief.history, entered=others * belief.history.entered),
+        )._normalised()
 
     def _moved_on(self, novelty: float, carried: float) -> Belief:
         """Return the belief before an image.
@@ -219,19 +231,6 @@ class Belief:
             off_map=self.off_map - entered + mistaken + self.elsewhere - elsewhere,
             overlooked=self.overlooked + carried * (1.0 - self.overlooked),
         )
-
-    def _weighed(self, log_tracked: float, log_elsewhere: float, log_unmapped: float) -> Belief:
-        """Return the belief after an image with these log-likelihoods; that of what else there is is 0."""
-        top = max(log_tracked, log_elsewhere if self.elsewhere > 0 else 0.0, 0.0)
-        return replace(
-            self,
-            tracked=self.tracked * float(np.exp(log_tracked - top)),
-            unmapped=self.unmapped * float(np.exp(log_unmapped - top)),
-            elsewhere=self.elsewhere * float(np.exp(log_elsewhere - top)),
-            unexplored=self.unexplored * float(np.exp(-top)),
-            off_map=self.off_map * float(np.exp(-top)),
-            history=replace(self.history, entered=float(np.exp(-top)) * self.history.entered),
-        )._normalised()
 
     def _explored(
         self,
@@ -400,12 +399,6 @@ class Belief:
         """What a user should look at, "" where all is well."""
         does_not_fit = self.unfit >= 1.0 or (self.near.are_missing and self._contradicted > NO_MAP)
         return "this map does not fit" if does_not_fit else ""
-
-    def _resampled(self, most: int, rng: np.random.Generator) -> Belief:
-        """Return the belief with at most so many candidates."""
-        if self.candidates is None:
-            return self
-        return replace(self, candidates=self.candidates.resampled(most, rng))
 
 
 def _rated(cloud: Particles, by_rate: Array, rate: DetectionRate, novelty: float) -> tuple[DetectionRate, float]:
