@@ -12,7 +12,7 @@ predict it. In unmapped surroundings and off the map there is nothing else, so t
 Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their evidence then moves a part
 of this probability to the candidates. An image tries only some poses, so a place that it proposed is not sure before
 the true one can hardly have been overlooked. A place that is proposed late has the probability that it would have if it
-had been a candidate all along (`relocalisation.history`).
+had been a candidate all along (`relocalisation.History`).
 
 If clutter were predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image,
 whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed k times their
@@ -183,7 +183,7 @@ class Belief:
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
             moved = replace(candidates, particles=move.of(candidates.particles))
-            by_rate, within = search.by_rate(moved.particles, sighting), None
+            (by_rate, _), within = search.evidence(moved.particles, sighting), None
             if not is_explained:
                 within = search.observation.log_likelihood(moved.particles, sighting, search.landmark_map)
             candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=sees, within=within)
@@ -262,7 +262,7 @@ class Belief:
         if proposed is not None and tracked is not None:  # poses at the tracked place are no other place
             proposed = proposed.only(~is_near(proposed.particles.poses, particles.estimate(tracked).pose))
         if proposed is not None and len(proposed):
-            late = self.history.weighed(proposed, sighting, search, motion, rng)
+            late = self.history.weighed(proposed, sighting, search.evidence, motion, rng)
             more, probability = beyond(late, self.candidates, self.elsewhere)
             belief = belief if more is None else belief._with(more, probability)
         return belief._normalised()

@@ -4,7 +4,7 @@ Poses are drawn evenly from a box around each of the best hypotheses, with weigh
 likelihood L narrows in steps b: poses are drawn by w_b L_b(x), and moved a little to x', so that they gather where the
 edges fit. As moves one way are as likely as the other way, the weight of a pose at the next step is that of all that it
 is drawn from, divided by L_b(x) at where it came from: a sum of w L over poses is the evidence at every blur. Without
-the last likelihood they are draws from the prior. `history` weighs them by this image and those before.
+the last likelihood they are draws from the prior. `History` weighs them by this image and those before.
 """
 
 from __future__ import annotations
@@ -106,13 +106,17 @@ class GlobalLocalisation:
         """Return of how many edges of an image the angle is known."""
         return int(self.observation.frame(sighting.edges).is_known.sum())
 
-    def by_rate(self, particles: Particles, sighting: Sighting, blur_rad: float = BLUR_RAD) -> Array:
-        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone."""
-        return POWER * self.observation.by_detection_rate(particles, sighting, self.landmark_map, blur_rad)
+    def evidence(self, particles: Particles, sighting: Sighting, blur_rad: float = BLUR_RAD) -> tuple[Array, bool]:
+        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to clutter alone.
+
+        The second value is whether there are so many edges that some are of landmarks, if any is in view.
+        """
+        by_rate = self.observation.by_detection_rate(particles, sighting, self.landmark_map, blur_rad)
+        return POWER * by_rate, self.known_edges(sighting) >= FEWEST
 
     def log_fit(self, poses: Array, sighting: Sighting, blur_rad: float = BLUR_RAD) -> Array:
         """Return log p(edges | pose) (N,) of poses (N, 3), whatever the detection rate; the camera looks as stated."""
-        return DetectionRate.unknown().log_mean(self.by_rate(_at(poses), sighting, blur_rad))
+        return DetectionRate.unknown().log_mean(self.evidence(_at(poses), sighting, blur_rad)[0])
 
     # -- where a robot may be that is lost ----------------------------------------------------------------------------
 

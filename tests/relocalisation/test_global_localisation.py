@@ -463,7 +463,7 @@ def test_proposed_poses_keep_the_constant_errors_and_see_through_them() -> None:
     one, other = first.particles, second.particles
     assert (other[CAMERA_YAW] == 0.02).all() and np.array_equal(one.log_weight, other.log_weight)
     np.testing.assert_allclose(geometry.wrap_angle(one["heading"] - other["heading"]), 0.02)
-    np.testing.assert_allclose(*(SEARCH.by_rate(each, sighting) for each in (one, other)), atol=1e-6)  # type: ignore[arg-type]
+    np.testing.assert_allclose(*(SEARCH.evidence(each, sighting)[0] for each in (one, other)), atol=1e-6)  # type: ignore[arg-type]
 
 
 def test_joined_candidates_have_the_odds_that_are_asked_for() -> None:
@@ -557,7 +557,7 @@ def evidence_of_the_truth(images: Drive, seed: int, *, as_tracked: bool) -> floa
         increment, before = Increment.from_mean(geometry.between(before, odometry)), odometry
         moved = replace(candidates, particles=motion.predict(candidates.particles, increment, rng))
         within = OBSERVATION.log_likelihood(moved.particles, sighting, ROOM) if as_tracked else None
-        by_rate = SEARCH.by_rate(moved.particles, sighting)
+        by_rate, _ = SEARCH.evidence(moved.particles, sighting)
         candidates, log_mean = moved.weighed(by_rate, 0.4, needs_landmarks=False, within=within)
         candidates = candidates.resampled(2000, rng)
         total += log_mean

@@ -1,6 +1,7 @@
 """What earlier images say of a place that is proposed late, against candidates that were followed all along."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,7 @@ from localiser.motion import MotionModel, MotionParameters, covariance_of
 from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationParameters, Sighting
 from localiser.particles import POSE, Particles, cells_of
 from localiser.relocalisation import Candidates, GlobalLocalisation, History, beyond
-from localiser.relocalisation.global_localisation import FEWEST
-from localiser.relocalisation.history import SCENES
+from localiser.relocalisation.candidates import SCENES
 
 ROOM = room(80)
 SEARCH = GlobalLocalisation.of(EdgeObservation(CAMERA, ObservationParameters()), ROOM)
@@ -35,16 +35,9 @@ EXACT: MotionModel = Exact()
 FREE = np.array([0.0, np.inf])  # limits of what a place may gain by an image
 
 
-class Stated:
-    """A search in which an image is a number: its log-likelihood is so many times how far back the robot is."""
-
-    def known_edges(self, _: float) -> int:
-        """Return that every image has many edges."""
-        return 10
-
-    def by_rate(self, particles: Particles, slope: float) -> Array:
-        """Return log p (K, N), the same for each detection rate."""
-        return np.tile(slope * particles.columns[1], (len(DETECTION_RATES), 1))
+def stated(particles: Particles, slope: float) -> tuple[Array, bool]:
+    """Return log p (K, N) of an image that is a number: so many times how far back the robot is, for each rate."""
+    return np.tile(slope * particles.columns[1], (len(DETECTION_RATES), 1)), True
 
 
 def proposed(poses: Array, log_weight: Array | None = None) -> Candidates:
@@ -65,9 +58,9 @@ def limited(history: History, limits: Array = FREE) -> History:
     return replace(history, limits=history.limits + limits)
 
 
-def log_weights(history: History, candidates: Candidates, slope: float, search: Stated | None = None) -> Array:
+def log_weights(history: History, candidates: Candidates, slope: float, evidence: Any = stated) -> Array:
     rng = np.random.default_rng(0)
-    return history.weighed(candidates, slope, search or Stated(), EXACT, rng).particles.log_weight  # type: ignore[arg-type]
+    return history.weighed(candidates, slope, evidence, EXACT, rng).particles.log_weight  # type: ignore[arg-type]
 
 
 def test_a_place_that_is_proposed_late_is_as_likely_as_if_it_had_been_followed() -> None:
@@ -86,14 +79,14 @@ def test_a_place_that_is_proposed_late_is_as_likely_as_if_it_had_been_followed()
     for index, sighting in enumerate(images):
         if index:
             followed = replace(followed, particles=EXACT.predict(followed.particles, STEP, rng))
-        by_rate, is_telling = SEARCH.by_rate(followed.particles, sighting), SEARCH.known_edges(sighting) >= FEWEST
-        followed, _ = followed.weighed(by_rate, 1.0, needs_landmarks=is_telling)
+        by_rate, needs_landmarks = SEARCH.evidence(followed.particles, sighting)
+        followed, _ = followed.weighed(by_rate, 1.0, needs_landmarks=needs_landmarks)
         history = limited(history.moved(STEP, 1.0))
         if index < 9:
             history = history.with_image(sighting)
 
     late = proposed(followed.particles.poses, prior)
-    found = history.weighed(late, images[-1], SEARCH, EXACT, rng)
+    found = history.weighed(late, images[-1], SEARCH.evidence, EXACT, rng)
     assert found.particles.log_weight == pytest.approx(followed.particles.log_weight + np.log(0.4), abs=1e-6)
     np.testing.assert_allclose(found.rates, followed.rates, atol=1e-9)
     assert np.ptp(found.particles.log_weight) > 20.0, "these images tell the places apart"
@@ -147,9 +140,8 @@ def test_what_entered_before_the_images_that_are_kept_falls_by_what_is_looked_at
 def test_a_robot_that_enters_later_has_learnt_nothing_of_the_detection_rate_before() -> None:
     """Its first images show nothing that a place expects, and then it is carried to where it all shows."""
 
-    class Rated(Stated):
-        def by_rate(self, particles: Particles, slope: float) -> Array:
-            return np.tile(slope * np.arange(len(DETECTION_RATES))[:, None], (1, len(particles)))
+    def rated(particles: Particles, slope: float) -> tuple[Array, bool]:
+        return np.tile(slope * np.arange(len(DETECTION_RATES))[:, None], (1, len(particles))), True
 
     history = History(entered=np.array([1.0]))
     for _ in range(5):
@@ -157,7 +149,7 @@ def test_a_robot_that_enters_later_has_learnt_nothing_of_the_detection_rate_befo
     history = limited(history.moved(STEP, 1.0).entering(1.0, carried=1.0))
     fresh = limited(History(entered=np.array([1.0])).moved(STEP, 1.0))
     at = proposed(np.zeros((1, 3)))
-    late, at_once = (log_weights(each, at, 2.0, Rated()) for each in (history, fresh))
+    late, at_once = (log_weights(each, at, 2.0, rated) for each in (history, fresh))
     assert late == pytest.approx(at_once, abs=1e-6)
 
 
@@ -167,13 +159,12 @@ def test_places_before_are_as_uncertain_as_odometry() -> None:
     step = Increment.from_mean([0.1, -0.5, 0.4], np.diag([0.02, 0.05, 0.03]) ** 2)
     history, asked = limited(History().moved(step, 1.0)).with_image(1.0), []  # type: ignore[arg-type]
 
-    class Asked(Stated):
-        def by_rate(self, particles: Particles, slope: float) -> Array:
-            asked.append(particles)
-            return super().by_rate(particles, slope)
+    def evidence(particles: Particles, slope: float) -> tuple[Array, bool]:
+        asked.append(particles)
+        return stated(particles, slope)
 
     here = proposed(np.tile([1.0, 2.0, 0.5], (count, 1)))
-    limited(history.moved(step, 1.0)).weighed(here, 1.0, Asked(), motion, rng)  # type: ignore[arg-type]
+    limited(history.moved(step, 1.0)).weighed(here, 1.0, evidence, motion, rng)  # type: ignore[arg-type]
     before, now = asked
     assert np.array_equal(now.columns, here.particles.columns)
     steps = between(before.poses, now.poses)
