@@ -121,7 +121,7 @@ class Camera:
 
     def at(self, mount: Mount | None) -> Camera:
         """Return the camera as it was mounted for one image; None: as it is. The last few are kept."""
-        return self if mount is None or mount == self.mount else _mounted(self, mount)
+        return self if mount is None or mount == self.mount else _mounted(self, mount=mount)
 
     @cached_property
     def ideal(self) -> Camera:
@@ -300,6 +300,4 @@ class Camera:
         return from_lean, np.stack([by_tilt, by_roll], axis=-1) * per_tangent[..., None]
 
 
-@lru_cache(maxsize=16)
-def _mounted(camera: Camera, mount: Mount) -> Camera:
-    return replace(camera, mount=mount)
+_mounted = lru_cache(maxsize=16)(replace)

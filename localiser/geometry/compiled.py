@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -38,14 +38,11 @@ _CHECKSUM_BYTES = 32
 _OUR_NAME = re.compile(r"\w+-[0-9a-f]{40}(\.[0-9a-f]{8})?")  # the latter: a draft
 
 
-def inlined(function: F) -> F:
-    """Compile a part of loops over particles; it is inlined into the caller, where shapes are constant."""
-    return cast(F, _with_numba(function, forceinline=True, no_cpython_wrapper=True, **_RULES))
+def _with_numba(function: Callable[..., Any], **rules: Any) -> Any:
+    from numba import njit
 
-
-def part(function: F) -> F:
-    """Compile a part of loops that `compiled` compiles: Python cannot call it, so nothing is made or kept for that."""
-    return cast(F, _with_numba(function, no_cpython_wrapper=True, error_model="numpy", nogil=True))
+    rules["no_cfunc_wrapper"] = True  # no C code calls it
+    return njit(**rules)(function)
 
 
 @cache
@@ -63,13 +60,10 @@ compiled: Callable[[F], F] = partial(_kept, is_entry=False)
 
 A decorator, or called where the loop is first needed: the same function is compiled once.
 """
-
-
-def _with_numba(function: Callable[..., Any], **rules: Any) -> Any:
-    from numba import njit
-
-    rules["no_cfunc_wrapper"] = True  # no C code calls it
-    return njit(**rules)(function)
+inlined: Callable[[F], F] = partial(_with_numba, forceinline=True, no_cpython_wrapper=True, **_RULES)
+"""Compile a part of loops over particles; it is inlined into the caller, where shapes are constant."""
+part: Callable[[F], F] = partial(_with_numba, no_cpython_wrapper=True, error_model="numpy", nogil=True)
+"""Compile a part of loops that `compiled` compiles: Python cannot call it, so nothing is made or kept for that."""
 
 
 # -- where machine code is kept ---------------------------------------------------------------------------------------

@@ -113,7 +113,7 @@ def wheels_of(odometry: Trajectory, t_ns: NDArray[np.int64], parameters: MotionP
         Increment(move, np.zeros((3, 3)), float(path), float(turn))
         for move, path, turn in zip(moves, path_m, turned, strict=True)
     )
-    cov = np.array([noise_only.covariance(increment) for increment in whole]) + np.diag(_LEAST_SIGMA**2)
+    cov = np.array([motion.covariance_of(noise_only, increment) for increment in whole]) + np.diag(_LEAST_SIGMA**2)
     return Wheels(moves, np.where(moves[:, 1] > 0, -path_m, path_m), cov)
 
 

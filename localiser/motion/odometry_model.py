@@ -113,7 +113,7 @@ class MotionParameters:
         correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own
         covariance (vision) errs by a draw from that instead, and tells nothing of them.
         """
-        direction, ahead_m, _, noise, effects = _step_of(increment, self)
+        direction, ahead_m, noise, effects, _ = _step_of(increment, self)
         effect, none = dict(zip(CONSTANT_ERRORS, effects, strict=True)), np.zeros(3)
         by_constant_error = np.array([effect.get(name, none) for name in particles.names[3:]]).reshape(-1, 3).T
         cov = by_constant_error @ particles.constant_error_cov @ by_constant_error.T + noise
@@ -143,13 +143,6 @@ class MotionParameters:
         columns[2] = wrap_angle(columns[2])
         moved = replace(particles, columns=columns, constant_error_cov=particles.constant_error_cov - gain @ gain.T)
         return forgotten(projected(moved) if step.by_constant_error.any() else moved, increment.path_m, self.bias)
-
-    def covariance(self, increment: Increment) -> Array:
-        """Return the covariance (3, 3) of wheels' motion in the robot frame, with the prior of the constant errors."""
-        _, _, from_robot, noise, effects = _step_of(increment, self)
-        by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
-        doubt = by_constant_error @ self.bias.cov[:-1, :-1] @ by_constant_error.T
-        return np.asarray(from_robot.T @ (noise + doubt) @ from_robot)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,8 +175,11 @@ class Step:
 
 
 def covariance_of(model: MotionModel, increment: Increment) -> Array:
-    """Return the covariance (3, 3) of a motion as the model has it, else as the increment states it."""
-    return model.covariance(increment) if isinstance(model, MotionParameters) else increment.cov
+    """Return the covariance (3, 3) of a motion in the robot frame: as wheels have it with the prior of their errors.
+
+    As the increment states it where the model is another one.
+    """
+    return _step_of(increment, model)[-1] if isinstance(model, MotionParameters) else increment.cov
 
 
 def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple[float, float]:
@@ -205,14 +201,14 @@ def linearised(pose: Array, increment: Increment, parameters: MotionParameters) 
     right, backward = increment.mean[:2]
     jac_pose = np.eye(3)
     jac_pose[:2, 2] = [-sin * right + cos * backward, -cos * right - sin * backward]
-    direction, _, _, noise, _ = _step_of(increment, parameters)
+    direction, _, noise, _, _ = _step_of(increment, parameters)
     to_map = _from_step(float(pose[2]) + direction)
     return jac_pose, np.asarray(to_map @ noise @ to_map.T)
 
 
 @lru_cache(maxsize=64)  # of one motion asked for several times in a step
 def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float, float, Array, Array, Array]:
-    """Return direction, length, rotation (3, 3) from the robot frame, noise (3, 3) and derivatives (5, 3) of a step.
+    """Return direction, length, noise (3, 3) and derivatives (5, 3) of a step, and its covariance in the robot frame.
 
     A step is (along the way m, to its left m, turn rad), along the chord of the motion, negative when backward. Half of
     the turn comes before the translation, which the camera's own yaw turns the other way. Derivatives are by
@@ -224,17 +220,19 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
     distance_var, turn_var = noise_variances(increment, parameters)
     noise = np.diag([distance_var, SLIP**2 * distance_var + ahead_m**2 * turn_var / 2, turn_var])
     noise[1, 2] = noise[2, 1] = ahead_m * turn_var / 2
-    if increment.cov.any():
-        noise = np.asarray(noise + from_robot @ increment.cov @ from_robot.T)
-        return direction, ahead_m, from_robot, noise, np.zeros((len(CONSTANT_ERRORS), 3))
-    effects = [
+    by_wheels = [
         (ahead_m, 0.0, 0.0),  # of the scale of distances
         (0.0, ahead_m * turn / 2, turn),  # of turns
         (0.0, ahead_m * ahead_m / 2, ahead_m),  # of the veer
         from_robot @ increment.by_delay,
         (0.0, -ahead_m, 0.0),  # of the camera's yaw
     ]
-    return direction, ahead_m, from_robot, noise, np.array(effects)
+    effects = np.array(by_wheels)
+    if increment.cov.any():
+        noise, effects = np.asarray(noise + from_robot @ increment.cov @ from_robot.T), np.zeros(effects.shape)
+    by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
+    doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
+    return direction, ahead_m, noise, effects, np.asarray(from_robot.T @ (noise + doubt) @ from_robot)
 
 
 def direction_of_travel(increment: Increment) -> float:
