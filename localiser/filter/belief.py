@@ -259,9 +259,9 @@ class Belief:
             overlooked=overlooked * self.overlooked,
             history=replace(self.history, overlooked=self.history.overlooked * overlooked),
         )
-        if proposed is not None and tracked is not None:  # poses at the tracked place are no other place
+        if tracked is not None:  # poses at the tracked place are no other place
             proposed = proposed.only(~is_near(proposed.particles.poses, particles.estimate(tracked).pose))
-        if proposed is not None and len(proposed):
+        if len(proposed):
             late = self.history.weighed(proposed, sighting, search.evidence, motion, rng)
             more, probability = beyond(late, self.candidates, self.elsewhere)
             belief = belief if more is None else belief._with(more, probability)

@@ -116,16 +116,17 @@ class GlobalLocalisation:
 
     def log_fit(self, poses: Array, sighting: Sighting, blur_rad: float = BLUR_RAD) -> Array:
         """Return log p(edges | pose) (N,) of poses (N, 3), whatever the detection rate; the camera looks as stated."""
-        return DetectionRate.unknown().log_mean(self.evidence(_at(poses), sighting, blur_rad)[0])
+        particles = Particles(POSE, np.ascontiguousarray(poses.T), np.zeros(len(poses)))
+        return DetectionRate.unknown().log_mean(self.evidence(particles, sighting, blur_rad)[0])
 
     # -- where a robot may be that is lost ----------------------------------------------------------------------------
 
     def proposed(
         self, like: Particles, sighting: Sighting, effort: float, rng: np.random.Generator
-    ) -> tuple[Candidates | None, float]:
+    ) -> tuple[Candidates, float]:
         """Return candidates drawn where the edges of an image fit the map, and the expected hits.
 
-        Poses that explain the edges no better than clutter does are left out; None where all do. The weight of the
+        Poses that explain the edges no better than clutter does are left out, perhaps all of them. The weight of the
         others is that of importance sampling, so that a sum over candidates is a mean over the region. like: particles
         whose other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates. effort:
         how much is tried, 1 for an image that stands for itself. Expected hits: how many of the hypotheses are the true
@@ -133,16 +134,17 @@ class GlobalLocalisation:
         """
         camera, region = self.observation.camera.at(sighting.edges.mount), self.region
         tried, hits = self._hypotheses(camera, sighting, round(effort * HYPOTHESES), rng)
+        nothing = self.even(like, 0, rng), hits
         if len(tried) == 0:
-            return None, hits
+            return nothing
         count = max(round(effort * self.parameters.fresh), 1)
         likeliest = np.argsort(-self.log_fit(tried, sighting, SEARCH_BLUR_RAD), kind="stable")
         _, first = np.unique(cells_of(tried[likeliest]), return_index=True)
         best = tried[likeliest[np.sort(first)[: -(-count // PER_BOX)]]]
-        even = evenly_around(best, region, rng)
-        if len(even) == 0:
-            return None, hits
-        cloud = Particles((*POSE, "log_fit"), np.vstack([even.columns, np.zeros(len(even))]), even.log_weight)
+        poses, log_weight = evenly_around(best, region, rng)
+        if len(poses) == 0:
+            return nothing
+        cloud = Particles((*POSE, "log_fit"), np.vstack([poses.T, np.zeros(len(poses))]), log_weight)
         for blur_rad in WIDER_RAD:
             log_fit = self.log_fit(cloud.poses, sighting, blur_rad)
             cloud = replace(cloud, log_weight=cloud.log_weight + log_fit - cloud["log_fit"])
@@ -156,8 +158,6 @@ class GlobalLocalisation:
         log_weight = np.full(len(poses), -np.log(max(len(beside), 1)))
         log_weight[: len(cloud)] = cloud.log_weight - cloud["log_fit"]
         fits = self.log_fit(poses, sighting) > 0.0
-        if not fits.any():
-            return None, hits
         return _seeing(camera, poses[fits], log_weight[fits], like, rng), hits
 
     def even(self, like: Particles, count: int, rng: np.random.Generator) -> Candidates:
@@ -198,17 +198,16 @@ def _seeing(camera: Camera, poses: Array, log_weight: Array, like: Particles, rn
     return Candidates.of(replace(like, columns=columns, log_weight=log_weight))
 
 
-def evenly_around(centres: Array, region: Region, rng: np.random.Generator) -> Particles:
-    """Return poses drawn evenly, `PER_BOX` from each box around poses (K, 3): those in the region.
+def evenly_around(centres: Array, region: Region, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return poses (N, 3) drawn evenly, `PER_BOX` from each box around poses (K, 3), that are in the region.
 
-    Their weights sum to the prior probability of what the boxes, which may overlap, cover of the region.
+    And their log-weights (N,): weights sum to the prior probability of what the boxes, which may overlap, cover of it.
     """
     poses = np.repeat(centres, PER_BOX, axis=0)
     poses += BOX * rng.uniform(-0.5, 0.5, poses.shape)
     poses = poses[region.contains(poses)]
     poses[:, 2] = wrap_angle(poses[:, 2])
-    log_weight = region.log_density + np.log(BOX.prod() / PER_BOX / _boxes_at(poses, centres))
-    return replace(_at(poses), log_weight=log_weight)
+    return poses, region.log_density + np.log(BOX.prod() / PER_BOX / _boxes_at(poses, centres))
 
 
 def _boxes_at(poses: Array, centres: Array) -> Array:
@@ -219,8 +218,3 @@ def _boxes_at(poses: Array, centres: Array) -> Array:
         apart[:, 2] = wrap_angle(apart[:, 2])
         boxes += (np.abs(apart) <= 0.5 * BOX + 1e-9).all(axis=1)
     return boxes
-
-
-def _at(poses: Array) -> Particles:
-    """Return particles at robot poses (N, 3), of a camera that looks where it is stated to."""
-    return Particles(POSE, np.ascontiguousarray(poses.T), np.zeros(len(poses)))

@@ -2,10 +2,8 @@
 
 An edge of the second image continues one of the n edges of the first with probability w, each equally likely; otherwise
 it is new. Polarities must agree. Grey values agree on at least one side, because the background on the other side
-changes. Given a motion, the bearing is predicted for two cases of the edge's lower end:
-
-- it is the foot, where the edge meets the floor, and determines the range, or
-- it is not (a window, a skirting board, something in front), and the edge is at any shorter range.
+changes. The lower end of an edge is its foot, where it meets the floor, and determines the range. Or it is not (a
+window, a skirting board, something in front), and the edge is at any shorter range.
 """
 
 from __future__ import annotations

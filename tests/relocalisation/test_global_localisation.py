@@ -399,7 +399,7 @@ def followed_from(
 
     def proposed(*_: object) -> object:
         if len(believed) != first:
-            return None, 0.0
+            return places(np.zeros((0, 3))), 0.0
         poses = images.truth[first] + rng.normal(0.0, [0.03, 0.03, 0.01], (400, 3))
         return places(poses, np.full(400, np.log(1e-80 / 400))), 0.0
 

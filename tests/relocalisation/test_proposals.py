@@ -29,10 +29,9 @@ def proposed(search, edges, seed=0):
     """Return the poses (N, 3) that an image proposes, their weights, and the log-likelihood of the image at them."""
     sighting = Sighting(0, edges)
     candidates, _ = search.proposed(LIKE, sighting, 1.0, np.random.default_rng(seed))
-    if candidates is None:
-        return np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     cloud = candidates.particles
-    return cloud.poses, cloud.log_weight, search.log_fit(cloud.poses, sighting)
+    fit = search.log_fit(cloud.poses, sighting) if len(cloud) else np.zeros(0)
+    return cloud.poses, cloud.log_weight, fit
 
 
 def beside(poses, pose, metres=0.25, degrees=5.0):
@@ -75,11 +74,11 @@ def test_proposed_poses_weigh_what_even_draws_do():
 def test_weights_of_boxes_that_overlap_are_the_prior_of_what_they_cover():
     search, rng = search_on(ROOM), np.random.default_rng(0)
     centres = np.array([[0.0, 0.0, 3.1], [0.1, 0.05, -3.1], [2.0, 1.0, 0.0]])
-    sums = [np.exp(evenly_around(centres, search.region, rng).log_weight).sum() for _ in range(200)]
+    sums = [np.exp(evenly_around(centres, search.region, rng)[1]).sum() for _ in range(200)]
     width, depth, turn = 0.25 - 0.1, 0.25 - 0.05, np.pi / 18 - (2 * np.pi - 6.2)
     covered = 3 * 0.25 * 0.25 * np.pi / 18 - width * depth * turn
     assert np.mean(sums) == pytest.approx(covered * np.exp(search.region.log_density), rel=0.01)
-    assert len(evenly_around(np.array([[90.0, 0.0, 0.0]]), search.region, rng)) == 0
+    assert len(evenly_around(np.array([[90.0, 0.0, 0.0]]), search.region, rng)[0]) == 0
 
 
 def test_bearings_alone_propose_the_pose():
