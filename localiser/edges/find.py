@@ -60,9 +60,8 @@ def find_edges(
         lines, codes = sides_of_markers(grey, parameters.markers)
         sides, code = segments_of_lines(lines, camera, _MARKER_SIGMA_PX), np.concatenate([code, codes])
         sides = replace(sides, polarity=polarity_of_profiles(profiles(sides.ends_px, grey, camera)))
-        taken = Segments(
-            *(np.concatenate([getattr(one, each.name) for one in (taken, sides)]) for each in fields(taken))
-        )
+        columns = ([getattr(one, each.name) for one in (taken, sides)] for each in fields(taken))
+        taken = Segments(*map(np.concatenate, columns))
     segments, readout, turn_sigma_rad = taken, readout_of(camera, twist), np.zeros(len(taken))
     if readout is not None:
         rate, rate_sigma = readout.rates(taken.ends_px)

@@ -39,8 +39,7 @@ def half_camera(camera: Camera) -> Camera:
 def halved(grey: Image) -> Image:
     """Return an image (H, W) with two rows and two columns averaged to one, (H // 2, W // 2), as `half_camera` sees."""
     height, width = grey.shape[0] // 2, grey.shape[1] // 2
-    even = grey[: 2 * height, : 2 * width]
-    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
+    return np.asarray(cv2.resize(grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA))
 
 
 def remap_tables(
@@ -57,9 +56,8 @@ def remap_tables(
     image_points = image_from_view(np.stack(np.meshgrid(*nodes), axis=-1))
     taken = camera.pixels_from_image(image_points)
     radius = np.linalg.norm(image_points, axis=-1)
-    u, v, radius = (
-        (of_rows @ values @ of_columns.T).astype(np.float32) for values in (*np.moveaxis(taken, -1, 0), radius)
-    )
+    nodes = [taken[..., 0], taken[..., 1], radius]
+    u, v, radius = ((of_rows @ values @ of_columns.T).astype(np.float32) for values in nodes)
     # Far outside the field of view a distortion polynomial turns back and would show the image's inside once more; the
     # corners of the image bound what it was fitted for.
     corners = camera.image_from_pixels(camera.border_px().reshape(-1, 2))
@@ -186,14 +184,12 @@ def column_view(camera: Camera) -> ColumnView:
     height = ROWS_PER_BLOCK * int(np.ceil(np.ptp(border[:, 1]) * focal / ROWS_AT_ONCE / ROWS_PER_BLOCK))
     first_height = float(border[:, 1].max()) - (ROWS_AT_ONCE - 1) / 2 / focal
     grid = ColumnGrid(tilt, float(tangent.min()), first_height, density, focal / ROWS_AT_ONCE)
-    map_1, map_2, unseen = remap_tables(
-        lambda pixels: camera.image_from_upright(grid.upright(pixels[..., 0], pixels[..., 1])),
-        (width, height),
-        camera,
-        rows_at_once=ROWS_AT_ONCE,
-    )
-    beyond_nadir = grid.depth(np.arange(float(height))) < _LEAST_DEPTH
-    unseen |= beyond_nadir[:, None]
+
+    def image_from_grid(pixels: Array) -> Array:
+        return camera.image_from_upright(grid.upright(pixels[..., 0], pixels[..., 1]))
+
+    map_1, map_2, unseen = remap_tables(image_from_grid, (width, height), camera, ROWS_AT_ONCE)
+    unseen |= (grid.depth(np.arange(float(height))) < _LEAST_DEPTH)[:, None]  # beyond the nadir point
     paired_shape = (camera.height // ROWS_AT_ONCE, camera.width)
     return ColumnView(**asdict(grid), unseen=unseen, table=_table_of(map_1, map_2, unseen, paired_shape))
 
