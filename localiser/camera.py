@@ -1,8 +1,6 @@
 """The camera: pixels to rays, lines to lean and bearing with their sigmas, floor contact.
 
-Frames besides pixels. *Image*: (a, e), normalised and undistorted, a right and e up. *Upright image*: the same with the
-roll undone, so that the equations of `geometry` hold. *Level*: at the camera, axes (x right, y up, z backward) with
-tilt and roll undone; it differs from the robot frame by the mount's yaw and offset. Bearings are in the level frame.
+The frames (image, upright image, level) are those of docs/conventions.md. Bearings are in the level frame.
 """
 
 from __future__ import annotations

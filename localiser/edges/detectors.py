@@ -1,12 +1,6 @@
-"""What looks for line segments in an image: the protocol of a detector, and the list of those that are known by name.
+"""What looks for line segments in an image: the protocol of a detector, and those that are known by name.
 
-`find_edges` takes any detector. To choose one by its name in a configuration (`edges.detector`), register it:
-
-    def mine(image, camera):
-        return lines  # (S, 4): u, v of one end, u, v of the other, in pixels of the image
-
-    edges = find_edges(image, camera, detector=mine)
-    register("mine", mine)
+`find_edges` takes any detector. One that a configuration (`edges.detector`) chooses by its name is registered first.
 """
 
 from __future__ import annotations

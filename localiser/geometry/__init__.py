@@ -1,12 +1,4 @@
-"""Floor poses, increments, angles, and the equations of the paper as plain functions.
-
-Frames and signs (docs/conventions.md). Robot and camera: x right, y up, z backward. Map: right-handed, y up,
-the floor is the (x, z) plane. A pose is (x, z, heading); heading turns about +y, anticlockwise seen from above,
-and is 0 when the robot faces map -z. Bearing is positive to the right. Lean is the angle of an image line from the
-image vertical, positive when the top leans right; the paper's slope is m = 1 / tan(lean).
-
-[Taylor06] is Taylor, Geva, Boles, "Using Camera Tilt to Assist with Localisation", ICARA 2006.
-"""
+"""Floor poses, increments, angles, and the equations of the paper; frames and signs are in docs/conventions.md."""
 
 from localiser.geometry.compiled import private_folder, read_kept, write_kept
 from localiser.geometry.poses import (

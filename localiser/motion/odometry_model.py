@@ -4,11 +4,10 @@ The model is rotation, translation, rotation [Thrun, Burgard, Fox 2005, table 5.
 a random walk, so it does not depend on how the path is divided: variances add up over a chain of increments. The
 parameters have AMCL's names. AMCL's own are per step of a filter with a fixed rate; these are per metre and per radian.
 
-Five errors of a robot stay constant while it drives: the scale of the wheels' distance, the scale of their turn, the
-veer (a turn while the wheels measure straight motion), the delay behind its odometry, and the camera's yaw. Given the
-path of the camera, they are observed through a linear model with Gaussian noise, so they need not be sampled. A
-particle has their mean. Their covariance depends on the odometry alone, so it is the same for all particles
-(Rao-Blackwell) [Doucet, de Freitas, Murphy, Russell 2000; Schön, Gustafsson, Nordlund 2005].
+Five errors of a robot stay constant while it drives. Given the path of the camera, they are observed through a linear
+model with Gaussian noise, so they need not be sampled. A particle has their mean. Their covariance depends on the
+odometry alone, so it is the same for all particles (Rao-Blackwell) [Doucet, de Freitas, Murphy, Russell 2000; Schön,
+Gustafsson, Nordlund 2005].
 
     step = (along, left, turn) = odometry + H β + noise,    β = (distance_scale, turn_scale, veer, delay, camera_yaw)
 
