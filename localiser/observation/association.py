@@ -3,16 +3,6 @@
 Every pair of an edge and a landmark that are near each other is a row of one table, by the model of
 `edge_observation`. The optimal proposal takes the rows that are certain, the display the likeliest row of each edge.
 How far the map errs and how high the camera sits are told by the same rows.
-
-c_el, how well the ends of an edge agree with those of a landmark, is the squared part of the edge that lies between
-the landmark's ends, times for each end
-
-    m min(R_e / v_l, 1) + (1 - m) R_e N(e; e_l(pose), σ²)
-
-An edge either reaches where its landmark ends, or ends anywhere on the v_l that the image shows of it (m), while the
-density of clutter's ends is 1 / R_e there (`frame`). An end of a landmark beyond the image's border cannot be reached
-(min(R_e / v_l, 1) is left). One that the map does not know tells nothing, and an edge that the border ends is not
-short.
 """
 
 from __future__ import annotations

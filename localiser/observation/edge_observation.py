@@ -8,7 +8,7 @@ where the last image showed the same thing (`clutter`):
 
 q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
 observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
-c_el compares where the edge ends with where the landmark does (`association`), and their polarities: the rim of a
+c_el compares where the edge ends with where the landmark does, and their polarities: the rim of a
 picture, high on a wall, is no door jamb.
 
 How many edges are clutter differs from place to place, so w is not a parameter. The likelihood is computed for every

@@ -216,9 +216,13 @@ def _normal(y: float) -> float:
 def _end(
     measured: Any, room: float, peak: float, block: Array, lanes: int, rows: Any, missed: float, is_unknown: bool
 ) -> None:
-    """Write how much likelier one end of an edge is if it is the landmark's: the equation of `association`.
+    """Write how much likelier one end of an edge is if it is the landmark's.
 
-    An end without a peak, which the image's border made, takes half as long.
+        m min(R_e / v_l, 1) + (1 - m) R_e N(e; e_l(pose), σ²)
+
+    An edge either reaches where its landmark ends, or ends anywhere on the v_l that the image shows of it (m), while
+    the density of clutter's ends is 1 / R_e there (`frame`). An end of a landmark beyond the image's border cannot be
+    reached: min(R_e / v_l, 1) is left. An end without a peak, which the border made, takes half as long.
     """
     e, per_sigma = measured
     expected, at = rows
@@ -234,7 +238,10 @@ def _end(
 
 @inlined
 def _weigh(edge: Any, block: Array, lanes: int, ends: Any, hidden: Any, alike: float) -> None:
-    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and the landmark, 0 where they are no pair."""
+    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and the landmark, 0 where they are no pair.
+
+    c_el is the squared part of the edge that lies between the landmark's ends, times `_end` for each, and polarity.
+    """
     low, high = (edge[_LOW], edge[_PER_SIGMA_LOW]), (edge[_HIGH], edge[_PER_SIGMA_HIGH])
     _end(low, edge[_ROOM_LOW], edge[_PEAK_LOW], block, lanes, (_FOOT, _AT_FOOT), ends[1], hidden[0])
     _end(high, edge[_ROOM_HIGH], edge[_PEAK_HIGH], block, lanes, (_TOP, _AT_TOP), ends[1], hidden[1])
@@ -399,12 +406,7 @@ def log_products(
 
 
 @entry
-def associate(
-    poses: Array,
-    weight: Array,
-    item: Indices,
-    scene: Any,
-) -> tuple[Array, Array]:
+def associate(poses: Array, weight: Array, item: Indices, scene: Any) -> tuple[Array, Array]:
     """Return the landmarks that the first of the poses (N, 4) sees, and the edges near them.
 
     Rows (K, 5) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
