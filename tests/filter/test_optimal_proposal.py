@@ -84,9 +84,8 @@ def test_weights_take_back_where_steps_were_drawn():
     """Whatever edges say, weighted steps are standard normal, as if they had been drawn blindly."""
     step = MOTION.expected_step(take(cloud(1), np.zeros(200_000, dtype=np.int64)), MOVE)
     angle = expected_angles(step.poses[:, :1], "line")[0] + 0.02
-    normal, log_ratio = step_density(step, CAMERA, Targets(POINTS, angle, np.full(3, 0.02**2), False), 1.0).draw(
-        np.random.default_rng(3)
-    )
+    targets = Targets(POINTS, angle, np.full(3, 0.02**2), False)
+    normal, log_ratio = step_density(step, CAMERA, targets, 1.0).draw(np.random.default_rng(3))
     weight = normalised(log_ratio)
     assert log_ratio.max() <= -np.log(optimal_proposal.BLIND) + 1e-9
     error = 5 / np.sqrt(effective_sample_size(weight))
@@ -135,16 +134,13 @@ def test_only_edges_of_landmarks_in_no_doubt_are_targets():
     order = np.argsort(edges.landmark_id)
     near = one.associate_cloud(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), MAP).targets(0.8)
     assert near.points == pytest.approx(POINTS[edges.landmark_id[order]])
-    assert (
-        len(one.associate_cloud(cloud(500, sigma=0.3), Sighting(0, edges), MAP).targets(0.8).angle) == 0
-    )  # which is which cannot be told
-    assert (
-        len(one.associate_cloud(cloud(500, sigma=0.01), Sighting(0, edges), MAP).targets(0.02).angle) == 0
-    )  # nearly all edges are clutter
+    # Neither where which is which cannot be told, nor where nearly all edges are clutter.
+    for sigma, rate in ((0.3, 0.8), (0.01, 0.02)):
+        none = one.associate_cloud(cloud(500, sigma=sigma), Sighting(0, edges), MAP).targets(rate)
+        assert len(none.angle) == 0
     # Two landmarks side by side: neither may claim the edge.
-    twins = LandmarkMap.from_points(
-        np.vstack([POINTS, POINTS[1] + [0.03, 0.0]]), bottom_m=np.zeros(4), top_m=np.full(4, 2.0)
-    )
+    points = np.vstack([POINTS, POINTS[1] + [0.03, 0.0]])
+    twins = LandmarkMap.from_points(points, bottom_m=np.zeros(4), top_m=np.full(4, 2.0))
     kept = one.associate_cloud(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), twins).targets(0.8).points
     assert sorted(kept[:, 0]) == pytest.approx([-1.2, 1.5])
 
@@ -157,10 +153,8 @@ def test_weights_take_back_stages_that_were_cut_short(monkeypatch):
     guided = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.99).moved(
         cloud(50_000, sigma=0.05), MOVE, MOTION, np.random.default_rng(0)
     )
-    found, blind = (
-        estimate(guided),
-        estimate(MOTION.predict(cloud(50_000, sigma=0.05), MOVE, np.random.default_rng(1))),
-    )
+    found = estimate(guided)
+    blind = estimate(MOTION.predict(cloud(50_000, sigma=0.05), MOVE, np.random.default_rng(1)))
     sigma = np.sqrt(np.diag(blind.cov))
     assert (found.mean - blind.mean) / sigma == pytest.approx(np.zeros(3), abs=0.1)
     assert np.sqrt(np.diag(found.cov)) / sigma == pytest.approx(np.ones(3), abs=0.1)
