@@ -118,7 +118,7 @@ class Association:
             poses, weight = np.concatenate([poses, poses_of(few)]), np.append(weight, few.weight)
         by_angle, scene = scene_of(frame, sighting, landmark_map)
         near = reach_of(landmark_map, frame.far.range_max_m).beside(pose[None, :2])
-        seen, pairs = kernel.associate(poses, weight, near, scene)
+        seen, pairs = kernel.associate(poses, np.arange(len(poses)), weight, near, scene)
         landmark, (pair, row) = seen[:, 0].astype(np.int64), pairs[:, :2].astype(np.int64).T
         rest = pair, by_angle[row], *pairs[:, 2:].T
         return cls(frame, sighting, landmark_map, pose, landmark, *seen[:, 1:].T, *rest)

@@ -406,27 +406,27 @@ def log_products(
 
 
 @entry
-def associate(poses: Array, weight: Array, item: Indices, scene: Any) -> tuple[Array, Array]:
+def associate(poses: Array, order: Indices, weight: Array, item: Indices, scene: Any) -> tuple[Array, Array]:
     """Return the landmarks that the first of the poses (N, 4) sees, and the edges near them.
 
     Rows (K, 5) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
     its variance by the map (rad²), probability that no wall is before it. Rows (P, 5) of pairs: row of the landmark,
     row of the edge, residual (rad), its variance (rad²), odds (see `association.Association`).
 
-    The variance of a residual has that of what the other poses predict which face the landmark. N ≤ 2 `BLOCK`. weight:
-    (N,) of the poses, the first not counted. item: landmarks to look at; the others are as in `log_products`.
+    The variance of a residual has that of what the other poses predict which face the landmark. order: 0 … N - 1.
+    weight: (N,) of the poses, the first not counted. item: landmarks to look at. scene: see `association.scene_of`.
     """
     offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = scene
-    block, every = np.ones((_SEEN + VIEWS, 2 * BLOCK)), (len(poses) + LANES - 1) // LANES * LANES
+    block = np.ones((_SEEN + VIEWS, len(poses)))
     seen, pairs = np.empty((len(item), 5)), np.empty((len(item) * len(edges), 5))
     shown, used, in_view, per_density = 0, 0, 0.0, span / np.sqrt(2 * np.pi)
-    _place(poses, np.arange(len(poses)), 0, len(poses), every, offset, block)
+    _place(poses, order, 0, len(poses), len(poses), offset, block)
     for k in item:
         one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
         landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, 1.0)
         hidden, leaning = (one[2] <= -UNKNOWN_M, one[3] >= UNKNOWN_M), one[5]
         block[_OPEN, 0] = 1.0
-        for lanes in (1, every):  # what the first does not see, the others need not look at
+        for lanes in (1, len(poses)):  # what the first does not see, the others need not look at
             if block[_OPEN, 0] > 0:
                 _look(block, lanes, landmark, limits, camera, gate, bins, is_slope)
         if block[_OPEN, 0] == 0:
@@ -446,9 +446,11 @@ def associate(poses: Array, weight: Array, item: Indices, scene: Any) -> tuple[A
             if _meet(edge, block, 1, ends[0]) > 0:
                 _weigh(edge, block, 1, ends, hidden, 1.0 + edge[_POLARITY] * leaning)
                 odds = per_density * is_open * block[_DENSITY, 0]
-                pairs[used] = float(shown), float(e), block[_RESIDUAL, 0], block[_SPREAD, 0], odds
+                pairs[used, 0], pairs[used, 1], pairs[used, 2] = shown, e, block[_RESIDUAL, 0]
+                pairs[used, 3], pairs[used, 4] = block[_SPREAD, 0], odds
                 used += 1
-        seen[shown] = float(k), angle, np.sqrt(per_m_sq), variance, is_open
+        seen[shown, 0], seen[shown, 1], seen[shown, 2] = k, angle, np.sqrt(per_m_sq)
+        seen[shown, 3], seen[shown, 4] = variance, is_open
         shown, in_view = shown + 1, in_view + is_open
     for p in range(used):
         if edges[int(pairs[p, 1]), _IDENTITY] < 0:
