@@ -20,14 +20,8 @@ from localiser.geometry import UNKNOWN_TWIST, Array, Increment, compose
 from localiser.landmarks import LandmarkMap
 from localiser.live.timeline import Timeline
 from localiser.localiser import Localiser
-from localiser.observation import (
-    EarlierFrame,
-    EdgeObservation,
-    ObservationParameters,
-    Sighting,
-    persistent_clutter,
-    scene_clutter,
-)
+from localiser.observation import EdgeObservation, ObservationParameters, Sighting
+from localiser.observation.clutter import EarlierFrame, persistent_clutter, scene_clutter
 from localiser.particles import POSE, Particles
 from localiser.simulate import world_of
 from localiser.storage import ImageEvent, Log, simulate_log

@@ -32,7 +32,7 @@ live_app = typer.Typer(
 
 `localiser live --map maps/house.yaml --start 1.5,-2,90 --record drive.db3`
 
-`localiser live --map maps/house.yaml --connect tcp/192.168.1.5:7447 --topic image=/camera/image_raw --json`
+`localiser live --map maps/house.yaml --connect tcp/192.168.1.5:7447 --set live.topics.image=/camera/image_raw --json`
 
 `localiser live --map maps/house.yaml --image 0 --camera camera.yaml`""",
 )

@@ -150,8 +150,8 @@ _GONE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("--report", "is gone: `localiser replay` with the settings of a run draws its report", ("batch",)),
     ("--names", "is gone: topics are named as rmw_zenoh does; by --set live.dds=DOMAIN they are DDS's", _NETWORK),
     ("--plot", "is gone: -o LOG writes a new log with what was found", ("camera tilt", "camera sync")),
-    ("--config", "is gone: a map is checked by its camera and its landmarks alone", ("map check",)),
-    ("--set", "is gone: a map is checked by its camera and its landmarks alone", ("map check",)),
+    ("--config", "is gone: a map is checked by its landmarks, and a camera or a log", ("map check",)),
+    ("--set", "is gone: a map is checked by its landmarks, and a camera or a log", ("map check",)),
 )
 """Options that are settings now or gone, what to do instead, and of which commands they were."""
 _GONE_COMMANDS = {

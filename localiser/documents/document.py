@@ -25,7 +25,8 @@ _MAX_DEPTH = 40
 MOST_VALUES = 1_500_000  # each takes some 600 bytes of memory while a document is read
 _MAX_DIGITS = 100
 _LARGEST = 2**63
-_NUMBERS = _FLOAT, _ = "tag:yaml.org,2002:float", "tag:yaml.org,2002:int"
+_FLOAT = "tag:yaml.org,2002:float"
+_NUMBERS = _FLOAT, "tag:yaml.org,2002:int"
 _EXPONENT = re.compile(r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
 
 

@@ -23,7 +23,8 @@ from localiser.geometry.compiled import compiled
 from localiser.image_files import decode
 from localiser.markers import sides_of_markers
 
-END_SIGMA_PX, _MARKER_SIGMA_PX = 0.5, 0.3  # of an end across the line, if not stated; of a marker's corner
+END_SIGMA_PX = 0.5  # of an end across the line, if not stated
+_MARKER_SIGMA_PX = 0.3  # of a marker's corner
 
 
 def find_edges(

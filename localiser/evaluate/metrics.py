@@ -56,7 +56,7 @@ DECIMALS = 6
 def own_figures(track: Track, distance_scale: float = 0.0) -> dict[str, Any]:
     """Return the figures of a run that need no truth; None where something is not known.
 
-    distance_scale: the learnt error of the odometry's distances, see `fit_wheels`. Distance and speed are of the whole
+    distance_scale: the learnt error of the odometry's distances. Distance and speed are of the whole
     drive. position_3sigma_m: three times `Track.position_sigma_m`. edges_matched: fraction of edges that matched a
     landmark.
     """

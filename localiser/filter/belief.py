@@ -8,11 +8,11 @@
     off map     it is outside what is mapped, or this is the map of another building
 
 ν is the novelty of the scene (`filter.scene`). Likelihoods are stated relative to clutter alone, as earlier images
-predict it. In unmapped surroundings and off the map there is nothing else, so the likelihood of these hypotheses is 1.
-Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their evidence then moves a part
-of this probability to the candidates. An image tries only some poses, so a place that it proposed is not sure before
-the true one can hardly have been overlooked. A place that is proposed late has the probability that it would have if it
-had been a candidate all along (`relocalisation.History`).
+predict it. Off the map there is nothing else, so the likelihood of this hypothesis is 1; in unmapped surroundings it is
+somewhat less (`BARE`). Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their
+evidence then moves a part of this probability to the candidates. An image tries only some poses, so a place that it
+proposed is not sure before the true one can hardly have been overlooked. A place that is proposed late has the
+probability that it would have if it had been a candidate all along (`relocalisation.History`).
 
 If clutter were predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image,
 whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed k times their
@@ -32,9 +32,9 @@ from localiser.filter.scene import Jump
 from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
-from localiser.observation import DetectionRate, Matches, NearLandmarks, Sighting, Visibility
+from localiser.observation import FEWEST_EDGES, DetectionRate, Matches, NearLandmarks, Sighting, Visibility
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
-from localiser.relocalisation import FEWEST, POWER, Candidates, GlobalLocalisation, History, beyond
+from localiser.relocalisation import PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
 LEFT, RETURNED = 1e-3, 1e-2  # between scenes: from mapped to unmapped surroundings, and back
 ENTERED = 1e-3  # from off the map onto it
@@ -42,13 +42,13 @@ LOST = 0.01  # in unmapped surroundings, the place
 MISTAKEN = 1e-5  # between scenes: from tracked to off the map, because parts of another building may look the same
 BARE = 0.1  # how much rarer scenes without any landmark are on the map than off it
 MOST_CARRIED = 0.9  # an image may also be blurred, or a turn missed
-LEAST_NOVELTY = 0.1  # scenes between images that poses are proposed from
+PROPOSING_NOVELTY = 0.1  # scenes between images that poses are proposed from
 MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so that no frame takes long
 SURELY_CARRIED = 0.5  # probability of having been carried from which on one image may do the work of a whole scene
 FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one, at least
 KNOWN = 0.005  # probability of having been overlooked below which a place that was found counts as one that was stated
-FORGOTTEN = 1e-6  # probability of the candidates below which they are not followed
+NEGLIGIBLE = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
 # Rooms repeat themselves. While the tracked place explains what is seen, another place gains on it by at most this for
@@ -147,13 +147,13 @@ class Belief:
         novelty = max(jump.novelty, carried)
         near = self.near if self.is_known else replace(self.near, maps=len(search.landmark_map.maps))
         begun = replace(self, history=self.history.moved(move.increment, novelty), near=near)
-        belief = begun._judged(search, found, sighting, edges >= FEWEST, jump, move)
+        belief = begun._judged(search, found, sighting, edges >= FEWEST_EDGES, jump, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
-        told = novelty / scenes if edges >= FEWEST else 0.0  # a few edges may be anything, whatever the map
+        told = novelty / scenes if edges >= FEWEST_EDGES else 0.0  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
         may_be_lost = 1.0 - belief.here >= search.parameters.doubt or not belief.is_known
-        if new < LEAST_NOVELTY or (may_be_lost and not edges):
+        if new < PROPOSING_NOVELTY or (may_be_lost and not edges):
             return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
@@ -174,8 +174,8 @@ class Belief:
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
         log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
         if found is not None and found.by_rate is not None and found.shown_by_rate is not None:
-            detections, log_tracked = _rated(found.before, POWER * found.by_rate, detections, novelty)
-            shown, log_shown = _rated(found.before, POWER * found.shown_by_rate, shown, novelty)
+            detections, log_tracked = _rated(found.before, PLACE_POWER * found.by_rate, detections, novelty)
+            shown, log_shown = _rated(found.before, PLACE_POWER * found.shown_by_rate, shown, novelty)
             blind = sees * float(found.before.weight[(found.by_rate == 0.0).all(axis=0)].sum())
             support = self.support * float(np.exp(-jump.path_m / SUPPORT_M)) if carried < SUSPECTED else 0.0
         explained = support + log_shown
@@ -281,7 +281,7 @@ class Belief:
         far = ~is_near(self.candidates.particles.poses, pose)
         away = self.elsewhere * float(self.candidates.particles.weight[far].sum())
         tracked = self.tracked + self.elsewhere - away
-        if away < FORGOTTEN:
+        if away < NEGLIGIBLE:
             unexplored = self.unexplored + away
             return replace(self, tracked=tracked, elsewhere=0.0, unexplored=unexplored, candidates=None)
         return replace(self, tracked=tracked, elsewhere=away, candidates=self.candidates.only(far))

@@ -35,15 +35,15 @@ from localiser.observation import ENDPOINT_SIGMA_PX
 OFFSETS_M: Array = np.linspace(-0.4, 0.4, 161)
 STATED_SIGMA_M = 0.03  # of a height that people measure or take from a drawing
 UNEVEN_M = 0.01  # how even a floor is between the robot and what it looks at [DIN 18202]
-MISSED = (0.2, 0.5, 0.8, 0.95)  # how many ends of an image are not their landmark's: hidden, or cut in two
+MISSED_SHARES = (0.2, 0.5, 0.8, 0.95)  # how many ends of an image are not their landmark's: hidden, or cut in two
 FORGOTTEN = 1e-6  # probability, with each image, that what was learnt is wrong
 STEP_M = 0.005  # in which the height is corrected, so that what depends on it need not be worked out for every image
 LEAST_NOVELTY = 0.2  # between images that are learnt from
 COARSE_M: Array = np.linspace(-0.2, 0.2, 17)  # the offsets that are weighed together with poses
 COARSE_SIGMA_M = 0.0125  # half of their distance, so that none falls between them
-UNKNOWN_M = 0.02  # sigma from which on they are
+UNKNOWN_SIGMA_M = 0.02  # sigma from which on they are
 COARSE_NOVELTY = 0.5  # between images that they are weighed by, as that takes time
-POWER = 0.6  # of the likelihood: edges of an image err together
+HEIGHT_POWER = 0.6  # of the likelihood: edges of an image err together
 # From how many sigmas on an offset is used instead of what is stated, and how many contradict that.
 _USED, _SIGMAS = 1.0, 3.0
 
@@ -88,7 +88,7 @@ class Height:
     @property
     def is_unknown(self) -> bool:
         """Whether a pose is needed as much for the height as the height for a pose."""
-        return self._variance > UNKNOWN_M**2
+        return self._variance > UNKNOWN_SIGMA_M**2
 
     def with_poses(self, log_likelihood: Callable[[float], float], novelty: float) -> Height:
         """Return what is known after an image, over all poses that the robot may have.
@@ -96,7 +96,7 @@ class Height:
         log_likelihood: the logarithm of the mean likelihood of the image over particles, by the offset of the height.
         """
         fit = np.array([log_likelihood(offset_m) for offset_m in COARSE_M])
-        log_fit = POWER * novelty * np.interp(OFFSETS_M, COARSE_M, fit - fit.max())
+        log_fit = HEIGHT_POWER * novelty * np.interp(OFFSETS_M, COARSE_M, fit - fit.max())
         known = ((1.0 - FORGOTTEN) * self.probability + FORGOTTEN * _STATED) * np.exp(log_fit)
         return Height(known / known.sum())
 
@@ -112,7 +112,7 @@ class Height:
         off = (offset[:, None] - per_height[:, None] * OFFSETS_M) / sigma
         _, _, e_low, e_high = camera.upright_bounds
         there = np.exp(-0.5 * off**2) * (e_high - e_low) / (np.sqrt(2 * np.pi) * sigma)
-        log_fits = [np.log(missed + (1.0 - missed) * there).sum(axis=0) for missed in MISSED]
+        log_fits = [np.log(missed + (1.0 - missed) * there).sum(axis=0) for missed in MISSED_SHARES]
         log_fit = self.novelty * np.logaddexp.reduce(log_fits)
         common = _APART_M * np.median(np.abs(per_height)) / sigma
         fit = np.exp(-0.5 * common**2) @ np.exp(log_fit - log_fit.max())

@@ -20,7 +20,7 @@ import numpy as np
 from localiser.geometry import Array
 
 SCALES: Array = 2.0 ** np.arange(-1.0, 4.5, 0.5)  # of sigmas of 6 mm: 3 mm to 0.1 m
-CHANGES = 0.003  # the rate, for each independent image, at which what comes into view was mapped in another way
+SCALE_CHANGES = 0.003  # the rate, for each independent image, at which what comes into view was mapped in another way
 REPEATED = 0.5  # what an image counts for: half of its landmarks were seen before, with the same errors
 LONGEST = 4.0  # times the usual path: by then other landmarks are in view
 _PRIOR: Array = np.exp(-0.5 * np.log2(SCALES) ** 2)
@@ -50,7 +50,7 @@ class MapError:
 
     def after(self, by_scale: Array) -> MapError:
         """Return what is known after an image with log p(edges | scale) (K,)."""
-        changed = 1.0 - np.exp(-CHANGES * self.novelty)
+        changed = 1.0 - np.exp(-SCALE_CHANGES * self.novelty)
         predicted = (1.0 - changed) * self.probability + changed * _PRIOR
         joint = predicted * np.exp(REPEATED * self.novelty * (by_scale - by_scale.max()))
         return MapError(joint / joint.sum())

@@ -31,7 +31,7 @@ from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering, Weighed
-from localiser.filter.wheels import MOST_EDGES, Evidence, Wheels
+from localiser.filter.wheels import MOST_FOLLOWED, Evidence, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel, MotionParameters, covariance_of
@@ -53,7 +53,7 @@ from localiser.particles import POSE, Particles, log_sum, systematic_resample, t
 from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer, increment_of, with_scale
 
-FEW = 512  # particles that tell where odometry alone expects all of them
+FEW_MOVED = 512  # particles that tell where odometry alone expects all of them
 FEW_TOLD = 64  # particles that tell how well a motion predicts an image
 FIRST_THREADS = 4  # at most, that share the first image
 
@@ -188,7 +188,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     sighting = _from_height(mcl, state, measured)
     # Drive: how did the robot move, by odometry? A few particles move blindly.
     drive = _driven(mcl, state, sighting)
-    few = None if state.particles is None else mcl.moved(thinned(state.particles, FEW), drive.moves, rng)
+    few = None if state.particles is None else mcl.moved(thinned(state.particles, FEW_MOVED), drive.moves, rng)
     if few is not None and _tells_height_with_poses(mcl, state, measured):
         state.height = _height_with_poses(mcl, state, few, measured)
         sighting = _from_height(mcl, state, measured)
@@ -202,7 +202,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         if motion is not None:
             drive = replace(drive, moves=[motion], increment=motion)
             image = _received(mcl, state, sighting, drive)
-            few = mcl.moved(thinned(state.particles, FEW), drive.moves, rng)
+            few = mcl.moved(thinned(state.particles, FEW_MOVED), drive.moves, rng)
             found = _weighed(mcl, state, state.particles, few, image, rng)
         state.inliers = found.inliers
     state.scene, state.attitude = image.scene, image.attitude
@@ -345,7 +345,7 @@ def _contradicted(
     if not len(sighting.edges) or not len(seen.edges) or state.particles is None:
         return None
     few, level = thinned(state.particles, FEW_TOLD), replace(image.sighting, persistent=None)
-    before, now = (one.edges.longest(MOST_EDGES) for one in (seen, sighting))
+    before, now = (one.edges.longest(MOST_FOLLOWED) for one in (seen, sighting))
 
     def by_map(motion: Increment) -> float:
         cloud = mcl.moved(few, [motion], rng)

@@ -28,7 +28,7 @@ WHOLLY_NEW = 4.0  # log-ratio of having been carried from which on the images be
 # was carried, and a + b, as edges of one object come and go together.
 USUAL, CARRIED, CONCENTRATION = 0.8, 0.2, 6.0
 FRACTIONS: Array = np.linspace(0.01, 0.99, 50)
-MEMORY = 0.95  # part of the usual fraction that an image leaves
+USUAL_MEMORY = 0.95  # part of the usual fraction that an image leaves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +102,7 @@ class Scene:
             if len(sighting.edges):
                 _, continuing = scene_clutter(frame, [before(images[-1])])
                 log_ratio, fraction = _log_carried(continuing, usual)
-                usual = MEMORY * usual + (1.0 - MEMORY) * fraction
+                usual = USUAL_MEMORY * usual + (1.0 - USUAL_MEMORY) * fraction
             novelty = increment.path_m / SCENE_M + increment.turned_rad / SCENE_RAD
             jump = Jump(float(min(novelty, 1.0)), log_ratio, float(increment.path_m))
         if len(images) > 1 and away[-2] < APART:

@@ -27,7 +27,7 @@ from localiser.observation import (
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
 from localiser.relocalisation import BLUR_RAD
 
-FEW = 512  # particles that tell how well an image fits the place that they are at
+FEW_JUDGED = 512  # particles that tell how well an image fits the place that they are at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +102,7 @@ class Tempering:
 
     def _of_place(self, moved: Particles) -> tuple[Particles, Array | None, Array | None]:
         """Return some of the particles, and of edges where a place is judged what they say of it, as in `Weighed`."""
-        few = particles.thinned(moved, FEW)
+        few = particles.thinned(moved, FEW_JUDGED)
         if not isinstance(self.observation, EdgeObservation) or self.visible is None:
             return few, None, None
         views = [View(DETECTION_RATES, False, self.sighting.scene, visible) for visible in (None, self.visible)]

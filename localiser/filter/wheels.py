@@ -39,11 +39,11 @@ from localiser.visual_odometry import (
     with_scale,
 )
 
-POWER = 0.6  # of the likelihood: edges of an image err together
+PACE_POWER = 0.6  # of the likelihood: edges of an image err together
 STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
 UNUSUAL = 0.7
-MEMORY = 0.9  # part of what is usual that an image leaves
-MOST_EDGES = 48  # that are followed: the work grows with the square of their number
+FIT_MEMORY = 0.9  # part of what is usual that an image leaves
+MOST_FOLLOWED = 48  # that are followed: the work grows with the square of their number
 TURN_SIGMA_RAD = np.radians(1.0)  # of a turn that edges tell by their votes
 MOST_TOLD = 4.0  # log-ratio of one image: a person who walks by moves most of its edges, whatever the wheels do
 DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
@@ -82,7 +82,7 @@ class Evidence:
         return increment_of(motion_gaussian(twist)), log_ratio
 
     def weighed(self, pace: Gaussian, wheels: Gaussian, by_map: float, by_last: float) -> float:
-        """Return log p(image | it went on at its pace) / p(image | the wheels are right), to the power `POWER`.
+        """Return log p(image | it went on at its pace) / p(image | the wheels are right), to the power `PACE_POWER`.
 
         pace, wheels: twists. by_map, by_last: of the motion of the wheels. Both motions turn as the edges tell, so that
         none wins because it knows less of its turn.
@@ -90,7 +90,7 @@ class Evidence:
         (paced, log_paced), (held, log_held) = self.turned(pace), self.turned(wheels)
         last = crossed(self.by_last_image(paced)) + log_paced
         last -= max(crossed(self.by_last_image(held)) + log_held, by_last)
-        return min(POWER * (self.by_map(paced) - by_map + last), MOST_TOLD)
+        return min(PACE_POWER * (self.by_map(paced) - by_map + last), MOST_TOLD)
 
     def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
         """Return the motion by edges alone, of a robot that had this twist per second."""
@@ -134,7 +134,7 @@ class Wheels:
         """
         right = np.array([fit[0], crossed(fit[1])])
         fits = (right >= UNUSUAL * self.usual).all()
-        usual = MEMORY * self.usual + (1.0 - MEMORY) * right
+        usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * right
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
             return replace(self, wrong=0.0, usual=usual, fit=True), None
         expected = parameters.twist(self.pace, seconds)

@@ -17,7 +17,7 @@ from localiser.camera import Camera
 from localiser.geometry import Array, robot_from_map
 from localiser.landmarks.landmark_map import LandmarkMap, reach_of
 
-FEW = 1000  # landmarks, up to which all are looked at
+SMALL_MAP = 1000  # landmarks, up to which all are looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +76,7 @@ def sight(
     """
     parameters = parameters or SightParameters()
     points, near = landmark_map.points, np.arange(len(landmark_map.points))
-    if len(points) > FEW:
+    if len(points) > SMALL_MAP:
         near = reach_of(landmark_map, parameters.range_max_m).beside(camera_poses[:, :2])
     # Those that can be within range of some pose are near the box of all poses.
     low, high = camera_poses[:, :2].min(axis=0), camera_poses[:, :2].max(axis=0)

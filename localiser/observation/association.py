@@ -29,7 +29,7 @@ from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.sighting import Matches, Sighting, Targets
 from localiser.particles import CAMERA_YAW, Particles, thinned
 
-FEW = 64  # particles that tell how wide the cloud is
+FEW_SPREAD = 64  # particles that tell how wide the cloud is
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
 BESIDE_M = 0.15  # landmarks stand at most so far from where the map has them
 _SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
@@ -44,7 +44,7 @@ def poses_of(particles: Particles) -> Array:
     return poses
 
 
-def scene_of(
+def kernel_inputs(
     frame: Frame, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
 ) -> tuple[Indices, tuple[Any, ...]]:
     """Return which edge (E,) is in each row, and how `likelihood_kernel` takes the camera, landmarks and edges.
@@ -56,7 +56,7 @@ def scene_of(
     def table() -> Array:
         columns: list[NDArray[Any]] = [landmark_map.points, np.nan_to_num(landmark_map.bottom_m, nan=-UNKNOWN)]
         columns += [np.nan_to_num(landmark_map.top_m, nan=UNKNOWN), landmark_map.sigma_m(sigma_m)]
-        return np.column_stack([*columns, landmark_map.polarity])
+        return np.ascontiguousarray(np.column_stack([*columns, landmark_map.polarity]))
 
     mount, sigma_m = frame.camera.mount, frame.parameters.landmark_sigma_m
     rows, by_angle, bins, largest_var = frame.table(landmark_map, blur_rad)
@@ -114,11 +114,11 @@ class Association:
 
         poses, weight = pose[None], np.zeros(1)
         if particles is not None:
-            few = thinned(particles, FEW)
+            few = thinned(particles, FEW_SPREAD)
             poses, weight = np.concatenate([poses, poses_of(few)]), np.append(weight, few.weight)
-        by_angle, scene = scene_of(frame, sighting, landmark_map)
-        near = reach_of(landmark_map, frame.far.range_max_m).beside(pose[None, :2])
-        seen, pairs = kernel.associate(poses, np.arange(len(poses)), weight, near, scene)
+        by_angle, inputs = kernel_inputs(frame, sighting, landmark_map)
+        near = reach_of(landmark_map, frame.far.range_max_m).beside(frame.camera.pose_in_map(pose[None, :3])[:, :2])
+        seen, pairs = kernel.associate(poses, np.arange(len(poses)), weight, near, inputs)
         landmark, (pair, row) = seen[:, 0].astype(np.int64), pairs[:, :2].astype(np.int64).T
         rest = pair, by_angle[row], *pairs[:, 2:].T
         return cls(frame, sighting, landmark_map, pose, landmark, *seen[:, 1:].T, *rest)

@@ -24,7 +24,7 @@ an error of the pose would be taken for clutter from then on, and could not corr
     λ(e) = s Σ_j K(e; j) + m Λ(e)
 
 j: the edges of the earlier image, of which a fraction s is seen again, and those of still earlier ones that it missed.
-K: edge j at the bearing b' above, and ending where j ended, shifted by the same parallax, as in `association`. m
+K: edge j at the bearing b' above, and ending where j ended, shifted by the same parallax. m
 is the expected number of new edges. They stand in groups, as books on a shelf: Λ is a Dirichlet process of
 concentration 1 whose other draws are the other edges of the image, 3° wide and with ends in the same rows.
 
@@ -48,7 +48,7 @@ from localiser.geometry.compiled import compiled
 from localiser.landmarks import field_of_view_rad, half_view_rad
 from localiser.observation.frame import ROW_PX, SIGMA_PX, Frame
 
-NEAR_M = 1.0  # things on no map are farther away
+NEAREST_M = 1.0  # things on no map are farther away
 SEEN_AGAIN = 0.8  # how often an edge of the earlier image is seen again
 NEW = 0.3  # how many of the edges may be new, at least
 GROUP_RAD = np.radians(3.0)  # how far apart the edges of one group are
@@ -91,8 +91,8 @@ def persistent_clutter(now: Frame, image: EarlierFrame, clutter: Array | None = 
         return density
     right, back, turn = image.motion
     across = right * np.cos(before) + back * np.sin(before)
-    variance = before_sigma**2 + image.turn_var + (across / NEAR_M) ** 2 / 12 + sigma[:, None] ** 2
-    square = wrap_angle(bearing[:, None] - (before + turn - across / (2 * NEAR_M))) ** 2 / variance
+    variance = before_sigma**2 + image.turn_var + (across / NEAREST_M) ** 2 / 12 + sigma[:, None] ** 2
+    square = wrap_angle(bearing[:, None] - (before + turn - across / (2 * NEAREST_M))) ** 2 / variance
     may = square < _GATE**2
     one = may & (may.sum(axis=0) == 1) & (may.sum(axis=1) == 1)[:, None]
     edge, of = np.nonzero(one)
@@ -124,7 +124,7 @@ def scene_clutter(now: Frame, earlier: Sequence[EarlierFrame]) -> tuple[Array, A
         again += SEEN_AGAIN * continued_density(now, image) @ shown
         # Edges that the camera still sees, if they moved by half of the largest parallax.
         bearing, _, cos, sin = image.frame.clutter[:, :4].T
-        across = (image.motion[0] * cos + image.motion[1] * sin) / NEAR_M
+        across = (image.motion[0] * cos + image.motion[1] * sin) / NEAREST_M
         stays = np.abs(wrap_angle(bearing + image.motion[2] - across / 2)) <= half_view
         expected += SEEN_AGAIN * float(shown @ stays)
     new = max(count - expected, NEW * count)
@@ -169,11 +169,11 @@ def continued_density(
     end_sigma_px: of where an edge ends. edges, before: what to take for `Frame.clutter` of both images.
     """
     mount, then = now.camera.mount, image.frame
-    rise = (then.camera.mount.height_m - mount.height_m) / NEAR_M
+    rise = (then.camera.mount.height_m - mount.height_m) / NEAREST_M
     attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), rise])
     end_var = (end_sigma_px / now.camera.focal_px) ** 2 if now.has_ends and then.has_ends else np.inf
     edges, before = now.clutter if edges is None else edges, then.clutter if before is None else before
-    return compiled(continued_loop)(edges, before, image.motion, image.turn_var, attitude, end_var, NEAR_M, SHORT)
+    return compiled(continued_loop)(edges, before, image.motion, image.turn_var, attitude, end_var, NEAREST_M, SHORT)
 
 
 # -- the loop, for numba to compile -----------------------------------------------------------------------------------

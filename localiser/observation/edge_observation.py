@@ -8,8 +8,8 @@ where the last image showed the same thing (`clutter`):
 
 q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
 observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
-c_el compares where the edge ends with where the landmark does, and their polarities: the rim of a
-picture, high on a wall, is no door jamb.
+c_el compares where the edge ends with where the landmark does, and their polarities: the rim of a picture, high on a
+wall, is no door jamb.
 
 How many edges are clutter differs from place to place, so w is not a parameter. The likelihood is computed for every
 inlier rate of `inlier_rate`, which learns their distribution and integrates them out.
@@ -38,7 +38,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, in_view_of_cells, reach_of
-from localiser.observation.association import FEW, Association, poses_of, scene_of
+from localiser.observation.association import FEW_SPREAD, Association, kernel_inputs, poses_of
 from localiser.observation.clutter import EarlierFrame, scene_clutter
 from localiser.observation.frame import Frame
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
@@ -138,8 +138,8 @@ class EdgeObservation:
         if not len(frame.edges.bearing):
             return [np.zeros((len(view.rates), count)) for view in views]
         threads, poses = self.parameters.threads, poses_of(particles)
-        by_angle, scene = scene_of(frame, sighting, landmark_map, blur_rad)
-        offset, _, landmarks, rows = scene[:4]
+        by_angle, inputs = kernel_inputs(frame, sighting, landmark_map, blur_rad)
+        offset, _, landmarks, rows = inputs[:4]
         farthest_m, widest = frame.far.range_max_m, frame.sight[1][3]
         reach = reach_of(landmark_map, farthest_m)
         if len(views) > _VIEWS:
@@ -172,7 +172,7 @@ class EdgeObservation:
             start, item = in_view_of_cells(
                 run, low, per_unit, shape, landmarks, half_view_rad, farthest_m, reach, offset
             )
-            result[..., part] = kernel.log_products(some, order, run, start, item, visibility, odds, each, rare, scene)
+            result[..., part] = kernel.log_products(some, order, run, start, item, visibility, odds, each, rare, inputs)
 
         size = min(max(-(-count // threads), _PER_THREAD), _PART)
         parts = [slice(begin, begin + size) for begin in range(0, count, size)]
@@ -215,7 +215,7 @@ class EdgeObservation:
 
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
-        few = poses_of(take(particles, np.linspace(0, len(particles) - 1, FEW).astype(np.int64)))
+        few = poses_of(take(particles, np.linspace(0, len(particles) - 1, FEW_SPREAD).astype(np.int64)))
         frame = self.frame(sighting.edges)
         seen = [Association.of(frame, sighting, landmark_map, pose) for pose in few]
         landmark, angle, map_var = (
@@ -223,7 +223,7 @@ class EdgeObservation:
             for column in zip(*((one.landmark, one.angle, one.map_var) for one in seen), strict=True)
         )
         times = np.bincount(landmark, minlength=len(landmark_map))
-        often = times >= FEW / 2
+        often = times >= FEW_SPREAD / 2
         variance = frame.measured[1]
         if not often.any() or not np.isfinite(variance).any():
             return 0.0, np.inf

@@ -21,7 +21,7 @@ from localiser.geometry.compiled import entry, inlined
 Indices = NDArray[np.int64]
 
 LANES = 8  # float64 in a vector register
-FEWEST = 2  # vectors, for which a vector loop is entered
+LEAST_VECTORS = 2  # vectors, for which a vector loop is entered
 BLOCK = 64  # particles looked at together
 VIEWS = 2  # at most
 UNKNOWN_M = 1e8  # heights beyond this are not known
@@ -340,7 +340,7 @@ def log_products(
     odds: Array,
     views: Indices,
     rare: Array,
-    scene: Any,
+    inputs: Any,
 ) -> Array:
     """Return the log-likelihood (V, LANES, N) in V views of every pose (N, 4), relative to clutter.
 
@@ -353,11 +353,11 @@ def log_products(
     where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it. An
     edge of known identity belongs to that landmark or is clutter: n is 1 for it at inlier rates.
 
-    scene: the image and the map, see `association.scene_of`. visibility: (V, L) this probability. odds: (V, LANES) o_k
-    of ascending rates. views: (V, 2) of each view how many rates it has, and whether they are inlier rates. rare:
-    (V, E) 1 / clutter_e.
+    inputs: the image and the map, see `association.kernel_inputs`. visibility: (V, L) this probability. odds:
+    (V, LANES) o_k of ascending rates. views: (V, 2) of each view how many rates it has, and whether they are inlier
+    rates. rare: (V, E) 1 / clutter_e.
     """
-    offset, (height_m, map_scale), landmarks, edges, first, bins, camera, limits, gate, ends, span, is_slope = scene
+    offset, (height_m, map_scale), landmarks, edges, first, bins, camera, limits, gate, ends, span, is_slope = inputs
     block = np.ones((_SEEN + VIEWS, BLOCK))
     density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
     factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
@@ -366,7 +366,7 @@ def log_products(
     for c in range(len(run) - 1):
         for n in range(run[c], run[c + 1], BLOCK):
             size = min(BLOCK, run[c + 1] - n)
-            lanes = max((size + LANES - 1) // LANES, FEWEST) * LANES
+            lanes = max((size + LANES - 1) // LANES, LEAST_VECTORS) * LANES
             _place(poses, order, n, size, lanes, offset, block)
             _begin(block, density, is_near)
             for k in item[start[c] : start[c + 1]]:
@@ -406,7 +406,7 @@ def log_products(
 
 
 @entry
-def associate(poses: Array, order: Indices, weight: Array, item: Indices, scene: Any) -> tuple[Array, Array]:
+def associate(poses: Array, order: Indices, weight: Array, item: Indices, inputs: Any) -> tuple[Array, Array]:
     """Return the landmarks that the first of the poses (N, 4) sees, and the edges near them.
 
     Rows (K, 5) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
@@ -414,9 +414,9 @@ def associate(poses: Array, order: Indices, weight: Array, item: Indices, scene:
     row of the edge, residual (rad), its variance (rad²), odds (see `association.Association`).
 
     The variance of a residual has that of what the other poses predict which face the landmark. order: 0 … N - 1.
-    weight: (N,) of the poses, the first not counted. item: landmarks to look at. scene: see `association.scene_of`.
+    weight: (N,) of the poses, the first not counted. item: landmarks to look at. inputs: as for `log_products`.
     """
-    offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = scene
+    offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = inputs
     block = np.ones((_SEEN + VIEWS, len(poses)))
     seen, pairs = np.empty((len(item), 5)), np.empty((len(item) * len(edges), 5))
     shown, used, in_view, per_density = 0, 0, 0.0, span / np.sqrt(2 * np.pi)

@@ -36,16 +36,16 @@ from localiser.geometry import Array, wrap_angle
 from localiser.observation.sighting import Matches
 
 USUAL = 0.5  # how often a landmark in view is visible, where no image has told of it
-CHANGES = 0.1  # within a scene, from visible to hidden, and back
+VISIBILITY_CHANGES = 0.1  # within a scene, from visible to hidden, and back
 FOUND, FOUND_HIDDEN = 0.85, 0.1  # how often an image has an edge that is matched to a visible and to a hidden landmark
 _SEEN, _MISSED = float(np.log(FOUND / FOUND_HIDDEN)), float(np.log((1 - FOUND) / (1 - FOUND_HIDDEN)))
 _TELLS = 0.02  # by how much a probability differs from the usual one where it is kept
 
 NEAR_M = 3.5
 BEFORE_M, BESIDE_RAD = 0.15, np.radians(30.0)  # a landmark that is nearer than another and beside it
-FEWEST = 5  # edges of an image that tells: one or two may be of anything
+FEWEST_EDGES = 5  # of an image that tells: fewer may all be of anything
 MATCHED, BY_CHANCE = 0.45, 0.25  # how often a near landmark is, on a map of the building and on another one
-MEMORY_SCENES = 60.0
+NEAR_MEMORY_SCENES = 60.0
 ANOTHER = 0.01  # odds that a map which is believed is of another building
 UNLIKELY = 0.3  # below this probability the map is said not to fit
 _FORGOTTEN = 1e-4  # scenes that are not kept
@@ -71,7 +71,7 @@ class Visibility:
         anything new is hardly any evidence.
         """
         before = self.of_all(len(matches.visible))
-        before += (1.0 - np.exp(-2.0 * CHANGES * novelty)) * (USUAL - before)
+        before += (1.0 - np.exp(-2.0 * VISIBILITY_CHANGES * novelty)) * (USUAL - before)
         is_matched = np.zeros(len(before), dtype=bool)
         is_matched[matches.landmark[matches.landmark >= 0]] = True
         log_ratio = np.where(matches.visible, np.where(is_matched, _SEEN, _MISSED), 0.0)
@@ -129,9 +129,9 @@ class NearLandmarks:
         scene, 0 … 1.
         """
         scenes, matched = np.zeros(len(points)), np.zeros(len(points))
-        kept = np.exp(-novelty / MEMORY_SCENES)
+        kept = np.exp(-novelty / NEAR_MEMORY_SCENES)
         scenes[self.landmark], matched[self.landmark] = kept * self.scenes, kept * self.matched
-        if len(matches.landmark) >= FEWEST:
+        if len(matches.landmark) >= FEWEST_EDGES:
             tested, is_matched = near_landmarks(matches, points, pose)
             scenes[tested] += novelty
             matched[tested] += novelty * is_matched

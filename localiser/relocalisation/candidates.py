@@ -39,7 +39,7 @@ PER_CELL = 60  # particles in each cell of floor and heading, on average
 LEAST_WEIGHT = 1e-9  # of a cell, below which it is given up
 EVENNESS = 0.25  # power of a cell's weight by which it gets particles
 SPREAD = 0.2  # of the spread of a cell: by how much its particles are moved, so that copies part
-MEMORY_SCENES = 5.0  # scenes after which the detection rate may be another
+RATE_MEMORY_SCENES = 5.0  # scenes after which the detection rate may be another
 SCENES = 24  # that are kept
 MOST_LOG = 600.0  # of a probability that is still finite
 _NEVER = -500.0  # log-likelihood of a pose that is given up
@@ -72,7 +72,7 @@ class Candidates:
         not on the map. within: (N,) the log-likelihood by which the particles of a cell share its weight; None: as
         by_rate says.
         """
-        rates = self.rates + (1.0 - np.exp(-novelty / MEMORY_SCENES)) * (_UNKNOWN - self.rates)
+        rates = self.rates + (1.0 - np.exp(-novelty / RATE_MEMORY_SCENES)) * (_UNKNOWN - self.rates)
         joint = novelty * by_rate + np.log(rates)
         log_kept = np.where((by_rate == 0.0).all(axis=0), _NEVER, 0.0) if needs_landmarks else 0.0
         log_fit = log_sum_of_rates(joint)

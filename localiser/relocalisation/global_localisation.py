@@ -19,15 +19,14 @@ from pydantic import Field
 from localiser.camera import Camera
 from localiser.geometry import Array, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import DetectionRate, EdgeObservation, Sighting
+from localiser.observation import FEWEST_EDGES, DetectionRate, EdgeObservation, Sighting
 from localiser.particles import CAMERA_YAW, CELL_M, CELL_RAD, POSE, Particles, cells_of, multinomial_resample
 from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.hypotheses import Feet, LandmarkPairs, from_bearings, from_feet, from_markers
 
 BESIDE_MAP_M = 3.0  # how far outside the landmarks a robot that looks at them may be
-FEWEST = 5  # edges; fewer may all be clutter almost anywhere
 MOST_EDGES = 48  # that poses are proposed from; all of them weigh these
-POWER = 0.5  # of the likelihood: edges of an image err together, which the clutter model does not know
+PLACE_POWER = 0.5  # of the likelihood: edges of an image err together, which the clutter model does not know
 HYPOTHESES, PER_BOX = 12_500, 10  # tried by one image; poses drawn around each of the best
 EVEN = 0.2  # as many poses again are drawn from the whole region
 BOX = np.array([CELL_M, CELL_M, CELL_RAD])  # around a hypothesis: m, m, rad
@@ -112,7 +111,7 @@ class GlobalLocalisation:
         The second value is whether there are so many edges that some are of landmarks, if any is in view.
         """
         by_rate = self.observation.by_detection_rate(particles, sighting, self.landmark_map, blur_rad)
-        return POWER * by_rate, self.known_edges(sighting) >= FEWEST
+        return PLACE_POWER * by_rate, self.known_edges(sighting) >= FEWEST_EDGES
 
     def log_fit(self, poses: Array, sighting: Sighting, blur_rad: float = BLUR_RAD) -> Array:
         """Return log p(edges | pose) (N,) of poses (N, 3), whatever the detection rate; the camera looks as stated."""

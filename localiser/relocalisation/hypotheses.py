@@ -30,7 +30,7 @@ Indices = NDArray[np.int64]
 BOTTOM_STEP_M = 0.05  # landmarks whose lower ends differ by less are searched together
 MANY_PAIRS = 400_000  # beyond which an image can try but a small part of what it may be
 MOST_PAIRS = 5_000_000  # of landmarks in the table, 16 bytes each; about so many where there are more
-GATE_SIGMAS = 1.0  # narrow: more pairs of edges can be tried, which finds more than it loses
+PAIR_SIGMAS = 1.0  # narrow: more pairs of edges can be tried, which finds more than it loses
 MOST_TRIPLES = 10  # times as many of landmarks as are tried: beyond that a right one is hardly ever among them
 NARROWEST_RAD = np.radians(3.0)  # between two bearings: below it they fix hardly more than one does
 FEWEST_TRIED = 4  # pairs of edges
@@ -177,7 +177,7 @@ def from_feet(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Gener
     sigma = np.hypot(sigmas[i, :, None] * (r_i - r_j * cos), sigmas[j, None, :] * (r_j - r_i * cos))  # to first order
     sigma /= np.maximum(apart, 1e-6)
     pair, one, other = np.nonzero(np.isfinite(apart))
-    slack = GATE_SIGMAS * sigma[pair, one, other] + 3 * pairs.sigma_max_m
+    slack = PAIR_SIGMAS * sigma[pair, one, other] + 3 * pairs.sigma_max_m
     apart = apart[pair, one, other]
     first, last = pairs.between(one * len(pairs.class_m) + other, apart - slack, apart + slack)
     able = np.bincount(pair, last - first, minlength=len(i))

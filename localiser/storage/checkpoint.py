@@ -27,6 +27,7 @@ from localiser.filter import FilterState, Odometry
 from localiser.geometry import Increment
 from localiser.observation import NearLandmarks, Sighting, Visibility
 from localiser.particles import Particles
+from localiser.relocalisation import History
 
 FORMAT = "localiser-checkpoint/4"
 _SHOWN = 80  # characters of a setting in an error
@@ -251,6 +252,12 @@ def _odometry(value: Odometry) -> None:
         raise ValueError("expected a pose of three finite numbers, found another")
 
 
+def _history(value: History) -> None:
+    limits = [value.limits, *(image.limits for image in value.images)]
+    if any(one.shape != (2,) for one in limits) or value.entered.shape != (len(value.images) + 1,):
+        raise ValueError("expected limits and a probability for each image, found others")
+
+
 _FITTING: dict[type, Callable[[Any], None]] = {
     Particles: _particles,
     Edges: _edges,
@@ -259,5 +266,6 @@ _FITTING: dict[type, Callable[[Any], None]] = {
     NearLandmarks: _of_landmarks,
     Sighting: _sighting,
     Odometry: _odometry,
+    History: _history,
 }
 """What raises ValueError where the parts of a value of this type do not fit each other."""

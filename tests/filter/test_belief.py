@@ -17,7 +17,7 @@ from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
 from localiser.observation import EdgeObservation, Matches, NearLandmarks, ObservationParameters, Sighting
-from localiser.observation.place_landmarks import MEMORY_SCENES
+from localiser.observation.place_landmarks import NEAR_MEMORY_SCENES
 from localiser.particles import POSE, Particles
 from localiser.relocalisation import Candidates
 from localiser.storage import Site
@@ -126,7 +126,7 @@ def test_a_place_that_is_tracked_anew_is_tested_anew(near: NearLandmarks) -> Non
         assert not len(belief.near.landmark)
         assert belief.near.log_odds == min(near.log_odds, 0.0)
         later = belief.near.after(Matches.none(5, 30), np.zeros((30, 2)), np.zeros(3), 1.0)
-        assert later.log_odds == pytest.approx(np.exp(-1 / MEMORY_SCENES) * belief.near.log_odds)
+        assert later.log_odds == pytest.approx(np.exp(-1 / NEAR_MEMORY_SCENES) * belief.near.log_odds)
 
 
 def test_they_are_not_asked_for_where_nothing_can_be_elsewhere() -> None:

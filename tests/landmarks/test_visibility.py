@@ -234,7 +234,7 @@ def test_sight_on_a_large_map_is_that_of_all_its_landmarks(poses, monkeypatch):
     rng = np.random.default_rng(2)
     cameras = np.column_stack([rng.uniform(20, 60, (poses, 2)), rng.uniform(-np.pi, np.pi, poses)])
     found = sight(CAMERA, cameras, landmark_map, SightParameters())
-    monkeypatch.setattr(visibility, "FEW", len(landmark_map))
+    monkeypatch.setattr(visibility, "SMALL_MAP", len(landmark_map))
     expected = sight(CAMERA, cameras, landmark_map, SightParameters())
     assert len(found.pose) > 10 * poses
     for column in ("pose", "landmark", "tangent", "length_px"):

@@ -6,7 +6,7 @@ from math import comb
 import numpy as np
 import pytest
 from plain_likelihood import compared, plain_pairs
-from simulated_edges import simulated_edges
+from simulated_edges import EdgeNoise, simulated_edges
 
 from localiser import geometry
 from localiser.camera import Camera, Mount
@@ -147,6 +147,18 @@ def test_scales_are_the_spread_of_predictions_and_the_sigma_of_measuring(kind: s
     assert observation.scales(away, Sighting(0, edges), landmark_map) == (0.0, np.inf)
 
 
+@pytest.mark.parametrize(("kind", "seed"), [("line", 0), ("line", 1), ("slope", 0), ("slope", 1)])
+def test_the_true_pose_is_the_best_for_edges_without_noise(kind: str, seed: int) -> None:
+    rng, truth = np.random.default_rng(seed), Trajectory(np.zeros(1, dtype=np.int64), POSE_TRUE[None])
+    landmark_map, steps = some_map(rng, 25), rng.normal(size=(31, 3)) * [0.3, 0.3, 0.1]
+    (edges,) = simulated_edges(landmark_map, CAMERA, truth, rng, noise=EdgeNoise(endpoint_sigma_px=1e-9))
+    sigma, steps = np.full(len(edges), 0.003), np.where(np.abs(steps[:, 2:]) > 0.03, steps, 0.0)
+    one = EdgeObservation(CAMERA, ObservationParameters(kind=kind, landmark_sigma_m=0.0))  # type: ignore[arg-type]
+    seen = Sighting(0, replace(edges, lean_sigma=sigma, bearing_sigma=sigma))
+    fit = one.log_likelihood(particles_at(POSE_TRUE + np.vstack([np.zeros(3), steps])), seen, landmark_map)
+    assert fit.argmax() == 0
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_association_is_the_likeliest_landmark_or_clutter(kind: str) -> None:
     rng = np.random.default_rng(4)
@@ -187,17 +199,10 @@ def test_share_of_a_frame_that_is_new() -> None:
     assert novelty_of(moved, parameters) == pytest.approx((1 - rho) / (1 + rho))
     there_and_back = Increment(np.zeros(3), np.zeros((3, 3)), 0.2, 0.0)
     assert novelty_of(there_and_back, parameters) == pytest.approx(np.tanh(1.0)), "the path counts"
-
-
-def test_errors_of_leans_repeat_twice_as_long() -> None:
-    line, slope = (ObservationParameters(kind=kind, decorrelation_m=0.1) for kind in ("line", "slope"))
-    short, long = Increment.from_mean([0, -0.05, 0.02]), Increment.from_mean([0, -0.1, 0.04])
-    assert novelty_of(long, slope) == pytest.approx(novelty_of(short, line))
-
-
-@pytest.mark.parametrize("independent", [{"decorrelation_m": 0.0}, {"decorrelation_deg": 0.0}])
-def test_everything_is_new_when_errors_are_said_to_be_independent(independent: dict[str, float]) -> None:
-    assert novelty_of(Increment.from_mean(np.zeros(3)), ObservationParameters(**independent)) == 1.0  # type: ignore[arg-type]
+    by_slope, twice = replace(parameters, kind="slope"), Increment.from_mean([0.0, 0.1, -np.radians(4)])
+    assert novelty_of(twice, by_slope) == pytest.approx(novelty_of(moved, parameters)), "errors of leans repeat longer"
+    for independent in (replace(parameters, decorrelation_m=0.0), replace(parameters, decorrelation_deg=0.0)):
+        assert novelty_of(Increment.from_mean(np.zeros(3)), independent) == 1.0
 
 
 def test_many_short_steps_tell_as_much_as_the_path_they_make() -> None:

@@ -9,20 +9,20 @@ from localiser.observation.inlier_rate import INLIER_RATES, MEMORY_FRAMES, PRIOR
 from localiser.observation.place_landmarks import (
     ANOTHER,
     BY_CHANCE,
-    CHANGES,
-    FEWEST,
+    FEWEST_EDGES,
     FOUND,
     FOUND_HIDDEN,
     MATCHED,
-    MEMORY_SCENES,
+    NEAR_MEMORY_SCENES,
     USUAL,
+    VISIBILITY_CHANGES,
     near_landmarks,
 )
 
 HERE = np.zeros(3)  # looks along -z
 
 
-def matches(landmark: list[int], visible: list[bool], edges: int = FEWEST) -> Matches:
+def matches(landmark: list[int], visible: list[bool], edges: int = FEWEST_EDGES) -> Matches:
     found = np.array([*landmark, *[-1] * (edges - len(landmark))], dtype=np.int64)
     return Matches(found, np.zeros(len(found)), np.array(visible))
 
@@ -37,7 +37,7 @@ def after(known: NearLandmarks, is_matched: Array, novelty: float = 1.0) -> Near
     """Return what is known after an image of landmarks of which none stands before another."""
     points = np.array([at(2.0, bearing) for bearing in np.linspace(-25.0, 25.0, len(is_matched))])
     found = np.flatnonzero(is_matched).tolist()
-    return known.after(matches(found, [True] * len(points), max(len(points), FEWEST)), points, HERE, novelty)
+    return known.after(matches(found, [True] * len(points), max(len(points), FEWEST_EDGES)), points, HERE, novelty)
 
 
 def test_near_landmarks_in_view_are_tested() -> None:
@@ -59,7 +59,7 @@ def test_what_may_be_behind_a_wall_is_not_tested(range_m, bearing_deg, is_matche
 
 def test_nothing_is_known_at_first_and_by_images_that_tell_nothing() -> None:
     points, seen = np.array([at(2.0, 0.0)]), matches([0], [True])
-    few = matches([0], [True], FEWEST - 1)
+    few = matches([0], [True], FEWEST_EDGES - 1)
     for known in (
         NearLandmarks(),
         NearLandmarks().after(few, points, HERE, 1.0),
@@ -73,7 +73,7 @@ def test_each_landmark_counts_once_however_often_it_is_seen() -> None:
     known = NearLandmarks()
     for _ in range(4):
         known = after(known, np.array([True, False]), 0.5)
-    kept = np.exp(-0.5 / MEMORY_SCENES)
+    kept = np.exp(-0.5 / NEAR_MEMORY_SCENES)
     scenes = 0.5 * (1 + kept + kept**2 + kept**3)
     weight = 1 - np.exp(-scenes)
     expected = weight * np.log(MATCHED / BY_CHANCE) + weight * np.log((1 - MATCHED) / (1 - BY_CHANCE))
@@ -103,9 +103,9 @@ def test_what_was_seen_fades_on_the_way() -> None:
     seen, fresh = known.scenes[0], known.log_odds
     for _ in range(150):  # 45 m
         known = known.after(gone, np.zeros((4, 2)), HERE, 1.0)
-    assert known.log_odds == pytest.approx(fresh * (1 - np.exp(-seen * np.exp(-150 / MEMORY_SCENES))), rel=1e-3)
+    assert known.log_odds == pytest.approx(fresh * (1 - np.exp(-seen * np.exp(-150 / NEAR_MEMORY_SCENES))), rel=1e-3)
     assert 0.4 < known.log_odds / fresh < 0.6
-    for _ in range(int(10 * MEMORY_SCENES)):
+    for _ in range(int(10 * NEAR_MEMORY_SCENES)):
         known = known.after(gone, np.zeros((4, 2)), HERE, 1.0)
     assert not len(known.landmark) and known.log_odds == 0.0
 
@@ -123,7 +123,7 @@ def test_how_often_maps_are_said_not_to_fit_by_chance() -> None:
             visible = np.isin(np.arange(60), index)
             for _ in range(3):
                 found = index[is_matched].tolist()
-                known = known.after(matches(found, visible.tolist(), FEWEST), points, HERE, 1.0)
+                known = known.after(matches(found, visible.tolist(), FEWEST_EDGES), points, HERE, 1.0)
             if known.are_missing:
                 return True
         return False
@@ -226,7 +226,7 @@ def test_an_image_is_evidence_by_the_rule_of_bayes() -> None:
 
 def test_a_landmark_out_of_view_is_forgotten_as_a_chain_of_two_states_has_it() -> None:
     known = Visibility().after(seen_as([0], [True]), 1.0)
-    expected, changes = known.of_all(1)[0], (1 - np.exp(-2 * CHANGES)) / 2  # of a chain with this rate, in a scene
+    expected, changes = known.of_all(1)[0], (1 - np.exp(-2 * VISIBILITY_CHANGES)) / 2  # of a chain, in a scene
     for _ in range(3):
         known = known.after(seen_as([], [False]), 1.0)
         expected = (1 - changes) * expected + changes * (1 - expected)

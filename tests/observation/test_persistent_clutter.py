@@ -17,7 +17,7 @@ from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose, map_from_robot, robot_from_map
 from localiser.landmarks import LandmarkMap, SightParameters, field_of_view_rad
 from localiser.observation import EdgeObservation, Frame, ObservationParameters, Sighting
-from localiser.observation.clutter import NEAR_M, EarlierFrame, persistent_clutter
+from localiser.observation.clutter import NEAREST_M, EarlierFrame, persistent_clutter
 from localiser.particles import POSE, Particles
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, Mount(np.radians(15.0), 1.0))
@@ -79,7 +79,7 @@ def test_clutter_is_never_rarer_than_anywhere(now, before, right, back, turn):
 @pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.02, -0.2, 0.2), (0.0, 0.1, -0.3)])
 def test_the_density_is_that_of_points_at_unknown_distances(step: tuple[float, float, float]) -> None:
     """Points at an even 1/r, seen before and after a step: the density is as good as their histogram, to 0.1 nats."""
-    points = PassedPoints.by(step, NEAR_M)
+    points = PassedPoints.by(step, NEAREST_M)
     log_density = np.log(
         [
             clutter_density([second], POINT_SIGMA, [first], step, TURN_SIGMA**2)[0]
@@ -123,7 +123,7 @@ def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slop
 def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tuple[float, float, float]) -> None:
     """Wherever it is on the robot: what stands ahead of it, twice as far as things may be near, is expected there."""
     camera = CAMERA.with_mount(right_m=mount[0], back_m=mount[1], yaw_rad=mount[2])
-    thing = map_from_robot(camera.robot_from_level, np.array([0.2, -2 * NEAR_M]))
+    thing = map_from_robot(camera.robot_from_level, np.array([0.2, -2 * NEAREST_M]))
     poses = [np.zeros(3), np.asarray(step)]
     seen = [robot_from_map(compose(pose, camera.robot_from_level), thing) for pose in poses]
     before, after = (one_edge(float(np.arctan2(x, -z))) for x, z in seen)

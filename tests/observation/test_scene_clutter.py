@@ -14,7 +14,7 @@ from localiser.landmarks import half_view_rad
 from localiser.observation import Frame, ObservationParameters
 from localiser.observation.clutter import (
     GROUP_RAD,
-    NEAR_M,
+    NEAREST_M,
     NEW,
     SEEN_AGAIN,
     SHORT,
@@ -43,7 +43,7 @@ def density(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0), tur
 def seen_again(found: ArrayLike, camera: Camera, before: ArrayLike, motion: tuple[float, float, float]) -> Array:
     """Return what earlier edges at these bearings add to the density of an image of one edge."""
     bearing = np.array(before, dtype=float)
-    moved = bearing + motion[2] - (motion[0] * np.cos(bearing) + motion[1] * np.sin(bearing)) / NEAR_M / 2
+    moved = bearing + motion[2] - (motion[0] * np.cos(bearing) + motion[1] * np.sin(bearing)) / NEAREST_M / 2
     expected = SEEN_AGAIN * float(np.sum(np.abs(moved) <= half_view_rad(camera)))
     return np.asarray(found) * (expected + 1.0) / (expected + max(1.0 - expected, NEW)) - 1.0
 
@@ -124,7 +124,7 @@ def test_by_slope_the_density_is_that_of_leans(tilt_deg: float, earlier: float |
 @pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.02, -0.2, 0.2), (0.0, 0.1, -0.3)])
 def test_the_density_is_that_of_points_at_unknown_distances(step: tuple[float, float, float]) -> None:
     """Points at an even 1/r, seen before and after a step: the density is as good as their histogram, to 0.1 nats."""
-    points = PassedPoints.by(step, NEAR_M)
+    points = PassedPoints.by(step, NEAREST_M)
     pairs = list(zip(points.first[:2000], points.second[:2000], strict=True))
     found = [
         density(edges_at([second], SIGMA), edges_at([first], SIGMA), step, TURN_SIGMA**2)[0] for first, second in pairs
@@ -201,7 +201,7 @@ def ends_alike(edges: Frame, others: Frame, approach: Array, sigma_px: float) ->
     s, c = np.sin(then.mount.tilt_rad), np.cos(then.mount.tilt_rad)
     slope = (earlier.e * c - s) / (c + earlier.e * s)
     s, c = np.sin(now.mount.tilt_rad), np.cos(now.mount.tilt_rad)
-    rise = (then.mount.height_m - now.mount.height_m) / NEAR_M
+    rise = (then.mount.height_m - now.mount.height_m) / NEAREST_M
     shift = (slope * approach[:, None] + rise) / (c - slope * s) ** 2
     variance = shift**2 / 12 + (sigma_px / now.focal_px) ** 2
     at = normal(ends.e[:, None] - (slope * c + s) / (c - slope * s) - shift / 2, variance)
@@ -222,13 +222,13 @@ def test_edges_continue_those_of_an_earlier_image(kind, with_ends, mount):
     )
     image = EarlierFrame(others, np.array([0.1, -0.3, 0.05]), 1e-4)
     (bearing, sigma), (earlier, earlier_sigma), (right, back, turn) = edges.bearings, others.bearings, image.motion
-    across = (right * np.cos(earlier) + back * np.sin(earlier)) / NEAR_M
+    across = (right * np.cos(earlier) + back * np.sin(earlier)) / NEAREST_M
     error = wrap_angle(bearing[:, None] - (earlier + turn - across / 2))
     variance = earlier_sigma**2 + image.turn_var + across**2 / 12 + sigma[:, None] ** 2
     expected = normal(error, variance) * span_at(edges, bearing)[:, None]
     if with_ends:
         ahead = image.motion[0] * np.sin(earlier) - image.motion[1] * np.cos(earlier)
-        expected *= ends_alike(edges, others, ahead / NEAR_M, SIGMA_PX)
+        expected *= ends_alike(edges, others, ahead / NEAREST_M, SIGMA_PX)
     expected = np.nan_to_num(expected)
     assert (expected > 1.0).sum() > 10 and not expected[-1].any()
     np.testing.assert_allclose(continued_density(edges, image), expected, rtol=1e-9, atol=1e-12)

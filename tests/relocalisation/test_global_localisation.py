@@ -20,7 +20,7 @@ from localiser.motion import MotionParameters
 from localiser.observation import DETECTION_RATES, EdgeObservation, InlierRate, ObservationParameters, View
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, cells_of, find_clusters
 from localiser.relocalisation import Candidates, History
-from localiser.relocalisation.global_localisation import FEWEST, GlobalLocalisation, SearchParameters
+from localiser.relocalisation.global_localisation import FEWEST_EDGES, GlobalLocalisation, SearchParameters
 from localiser.relocalisation.hypotheses import Feet
 
 SECOND = 1_000_000_000
@@ -596,8 +596,9 @@ def test_clusters_of_belief_and_candidates_share_the_weight() -> None:
 
 @pytest.mark.parametrize("unknown", [0, 1, 2])
 def test_an_edge_of_which_nothing_was_measured_tells_nothing(unknown: int) -> None:
-    bearing, sigma = np.linspace(-0.3, 0.3, FEWEST + 1), np.full(FEWEST + 1, 0.01)
+    bearing, sigma = np.linspace(-0.3, 0.3, FEWEST_EDGES + 1), np.full(FEWEST_EDGES + 1, 0.01)
     sigma[:unknown] = np.nan
     edges = Edges.from_columns(bearing, sigma, bearing, sigma)
-    assert SEARCH.known_edges(Sighting(0, edges)) == FEWEST + 1 - unknown
-    assert len(Feet.of(OBSERVATION.frame(edges)).bearing) == FEWEST + 1 - unknown
+    assert SEARCH.known_edges(Sighting(0, edges)) == FEWEST_EDGES + 1 - unknown
+    assert SEARCH.evidence(cloud(np.zeros((5, 3))), Sighting(0, edges))[1] == (unknown < 2)
+    assert len(Feet.of(OBSERVATION.frame(edges)).bearing) == FEWEST_EDGES + 1 - unknown
