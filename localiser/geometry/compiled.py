@@ -152,7 +152,9 @@ class _Kept:
             told = [*_told(function, set())]
         except OSError:  # a loop that stands in no file
             return None
-        content = (_versions(), codegen.magic_tuple(), str(signature), fields, self._loop.targetoptions, told)
+        # A set is printed in another order by each process.
+        rules = [(name, sorted(one) if isinstance(one, set) else one) for name, one in self._loop.targetoptions.items()]
+        content = (_versions(), codegen.magic_tuple(), str(signature), fields, rules, told)
         digest = hashlib.sha256(repr((function.__qualname__, content)).encode()).hexdigest()
         return where / f"{function.__name__}-{digest[:40]}"
 

@@ -197,8 +197,7 @@ def test_share_of_a_frame_that_is_new() -> None:
     rho = np.exp(-0.05 / 0.1 - np.radians(2) / np.radians(5))
     moved = Increment.from_mean([0.0, 0.05, -np.radians(2)])
     assert novelty_of(moved, parameters) == pytest.approx((1 - rho) / (1 + rho))
-    there_and_back = Increment(np.zeros(3), np.zeros((3, 3)), 0.2, 0.0)
-    assert novelty_of(there_and_back, parameters) == pytest.approx(np.tanh(1.0)), "the path counts"
+    assert novelty_of(Increment(np.zeros(3), np.zeros((3, 3)), 0.2, 0.0), parameters) == pytest.approx(np.tanh(1.0))
     by_slope, twice = replace(parameters, kind="slope"), Increment.from_mean([0.0, 0.1, -np.radians(4)])
     assert novelty_of(twice, by_slope) == pytest.approx(novelty_of(moved, parameters)), "errors of leans repeat longer"
     for independent in (replace(parameters, decorrelation_m=0.0), replace(parameters, decorrelation_deg=0.0)):
