@@ -132,7 +132,7 @@ def clutter(change: Array) -> Array:
 @lru_cache(maxsize=8)
 def unseen_blocks(camera: Camera) -> NDArray[np.bool_]:
     """Return (B, W) blocks with a gradient that touches the outside of the image: its border is not an edge."""
-    unseen = column_view(camera).unseen
+    unseen = column_view(camera).tables[2]
     blocks = np.any(unseen.reshape(-1, ROWS_PER_BLOCK, unseen.shape[1]), axis=1).astype(np.uint8)
     reach = int(np.ceil(2 * SCALE_PX))
     blocks[:, : reach + 1] = blocks[:, -reach - 1 :] = 1

@@ -26,8 +26,8 @@ def test_the_gradient_of_a_ramp_is_its_slope():
 def test_a_vertical_edge_is_a_column_of_the_rectified_image(tilt_deg):
     camera = camera_of(tilt_deg=tilt_deg, roll_deg=3.0, k1=-0.2)
     view = column_view(camera)
-    assert view.unseen.shape[0] % ROWS_PER_BLOCK == 0
-    row, column = np.nonzero(~view.unseen)
+    assert view.height % ROWS_PER_BLOCK == 0
+    row, column = np.nonzero(~view.tables[2])
     row, column = row[::997].astype(np.float64), column[::997].astype(np.float64)
     rays = camera.level_rays(camera.pixels_from_upright(view.upright(column, row)))
     np.testing.assert_allclose(rays[:, 0] / -rays[:, 2], view.tangent(column), atol=1e-6)
@@ -41,9 +41,9 @@ def test_the_whole_image_is_in_the_rectified_one():
     )
     rays, e = camera.level_rays(corners), camera.upright_from_pixels(corners)[:, 1]
     column = (rays[:, 0] / -rays[:, 2] - view.first_tangent) * view.columns_per_tangent
-    row = (view.first_height - e) * view.rows_per_height
-    assert np.all((column >= 0) & (column <= view.unseen.shape[1] - 1))
-    assert np.all((row >= 0) & (row <= view.unseen.shape[0] - 1))
+    row = (view.first_height - e) * camera.focal_px / ROWS_AT_ONCE
+    assert np.all((column >= 0) & (column <= view.width - 1))
+    assert np.all((row >= 0) & (row <= view.height - 1))
 
 
 @pytest.mark.parametrize(
@@ -60,30 +60,32 @@ def test_the_whole_image_is_in_the_rectified_one():
 def test_the_remap_is_the_lens_models_to_a_table_entry(model, distortion, size):
     camera = replace(camera_of(*size, roll_deg=2.0), distortion_model=model, distortion=distortion)
     view = column_view(camera)
-    row, column = np.nonzero(~view.unseen)
+    whole, share, unseen = view.tables
+    row, column = np.nonzero(~unseen)
     exact = camera.pixels_from_upright(view.upright(column.astype(np.float64), row.astype(np.float64)))
-    table = view.table
-    whole = np.stack(np.divmod(table.corner[row, column], camera.width)[::-1], axis=-1)
-    looked_up = whole + np.stack([table.right[row, column], table.down[row, column]], axis=-1) / 32
-    # Between the centres of two rows, which are averaged before; beyond the last one there is no other.
+    looked_up = whole[row, column] + np.stack([share & 31, share >> 5], axis=-1)[row, column] / 32
+    # Between the centres of two rows, which are averaged before.
     exact[:, 1] = (exact[:, 1] - (ROWS_AT_ONCE - 1) / 2) / ROWS_AT_ONCE
-    exact[:, 1] = exact[:, 1].clip(0, camera.height // ROWS_AT_ONCE - 1)
     np.testing.assert_allclose(looked_up, exact, atol=1 / 64 + 0.01)
 
 
 def test_blocks_are_means_of_what_lies_between_four_pixels():
     camera = camera_of(176, 144, roll_deg=2.0)
     view, image = column_view(camera), np.random.default_rng(0).integers(0, 256, (144, 176), dtype=np.uint8)
+    whole, share = view.tables[:2]
     both = image[::2].astype(np.int64) + image[1::2]
-    paired, width = ((both + (both >> 1 & 1)) >> 1).ravel(), camera.width
-    corner, right, down = view.table.corner, view.table.right.astype(np.int64), view.table.down.astype(np.int64)
-    upper = 32 * paired[corner] + (paired[corner + 1] - paired[corner]) * right
-    lower = 32 * paired[corner + width] + (paired[corner + width + 1] - paired[corner + width]) * right
-    looked_up = (32 * upper + (lower - upper) * down + 512) >> 10
-    blocks = looked_up.reshape(-1, ROWS_PER_BLOCK, looked_up.shape[1]).mean(axis=1)
-    column = np.arange(looked_up.shape[1])
-    shown = (column >= view.table.first[:, None]) & (column < view.table.last[:, None])
-    np.testing.assert_array_equal(view.blocks(image), np.where(shown, blocks, 0.0))
+    paired = (both + (both >> 1 & 1)) >> 1  # halves to even
+    # In 1/32 px; beyond the border the last pixel goes on.
+    place = 32 * whole.astype(np.int64) + np.stack([share & 31, share >> 5], axis=-1)
+    x, y = np.moveaxis(place.clip(0, 32 * np.array(paired.shape[::-1]) - 32), -1, 0)
+    column, row = np.minimum(x // 32, paired.shape[1] - 2), np.minimum(y // 32, paired.shape[0] - 2)
+    upper, lower = (
+        32 * paired[at, column] + (paired[at, column + 1] - paired[at, column]) * (x - 32 * column)
+        for at in (row, row + 1)
+    )
+    looked_up = (32 * upper + (lower - upper) * (y - 32 * row) + 512) >> 10
+    expected = looked_up.reshape(-1, ROWS_PER_BLOCK, view.width).mean(axis=1)
+    np.testing.assert_array_equal(view.blocks(image), expected)
 
 
 @pytest.mark.parametrize("bearing_deg", [-29.0, 29.0])
