@@ -70,7 +70,7 @@ def step(observation: EdgeObservation, rng: np.random.Generator, frame: Frame) -
     cloud, sighting, landmark_map = frame
     moved = MotionParameters().predict(cloud, Increment.from_mean([0.0, -0.1, 0.02]), rng)
     log_weight = InlierRate.unknown().log_mean(observation.by_rate(moved, sighting, landmark_map))
-    weighed = Particles(moved.names, moved.columns, log_weight, moved.circular)
+    weighed = Particles(moved.names, moved.columns, log_weight)
     estimate(weighed)
     take(weighed, systematic_resample(weighed.weight, len(weighed), rng))
 

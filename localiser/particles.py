@@ -23,9 +23,9 @@ POSE = ("x", "z", "heading")
 CAMERA_YAW = "camera_yaw"
 MOST_STAGES = 12  # of resampling in one frame, so that it takes a bounded time whatever it shows
 CELL_M, CELL_RAD = 0.25, np.pi / 18
+_AROUND = round(2 * np.pi / CELL_RAD)  # cells that close the heading's circle
 # One of each pair of opposite neighbours: 13 of the 26.
 _NEIGHBOURS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])
-_TABLE_PER_POSE = 8  # cells of the whole box, up to which a table of them is quicker than to sort
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,15 +33,14 @@ class Particles:
     """N weighted hypotheses.
 
     names: D column names, x, z, heading first, then B constant errors. columns: (D, N), each contiguous. log_weight:
-    (N,) natural logarithms, up to a common constant. circular: names of columns that are angles. constant_error_cov:
-    (B, B) of the constant errors within each particle, of which the columns are the mean of a normal density; empty
-    where none is in doubt. The camera's yaw widens the heading.
+    (N,) natural logarithms, up to a common constant. constant_error_cov: (B, B) of the constant errors within each
+    particle, of which the columns are the mean of a normal density; empty where none is in doubt. The camera's yaw
+    widens the heading.
     """
 
     names: tuple[str, ...]
     columns: Array
     log_weight: Array
-    circular: frozenset[str] = frozenset({"heading"})
     constant_error_cov: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __len__(self) -> int:
@@ -159,9 +158,7 @@ def spread(particles: Particles, rng: np.random.Generator) -> Particles:
     variance, axes = np.linalg.eigh((residual * weight) @ residual.T)
     draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal(residual.shape))
     columns = mean[:, None] + np.sqrt(1.0 - width**2) * residual + width * draws
-    for row, name in enumerate(particles.names):
-        if name in particles.circular:
-            columns[row] = wrap_angle(columns[row])
+    columns[2] = wrap_angle(columns[2])
     return replace(particles, columns=columns)
 
 
@@ -182,7 +179,7 @@ def thinned(particles: Particles, count: int) -> Particles:
 
 
 def estimate(particles: Particles) -> Estimate:
-    """Return the weighted mean and covariance over all columns; circular columns are averaged as directions.
+    """Return the weighted mean and covariance over all columns; the headings are averaged as directions.
 
     The covariance is that between the particles and, of the constant errors, that within each.
     """
@@ -192,16 +189,10 @@ def estimate(particles: Particles) -> Estimate:
 def centred(particles: Particles) -> tuple[Array, Array, Array]:
     """Return the weighted mean (D,), what each particle is off it (D, N), and the weights (N,)."""
     weight = particles.weight
-    mean = np.empty(len(particles.names))
-    residual = np.empty_like(particles.columns)
-    for row, name in enumerate(particles.names):
-        column = particles.columns[row]
-        if name in particles.circular:
-            mean[row] = circular_mean(column, weight)
-            residual[row] = wrap_angle(column - mean[row])
-        else:
-            mean[row] = weight @ column
-            residual[row] = column - mean[row]
+    mean = np.array([weight @ column for column in particles.columns])
+    mean[2] = circular_mean(particles["heading"], weight)
+    residual = particles.columns - mean[:, None]
+    residual[2] = wrap_angle(residual[2])
     return mean, residual, weight
 
 
@@ -250,81 +241,57 @@ class Clusters:
     """C clusters of N weighted poses, heaviest first.
 
     weight: (C,) share of the whole weight; what they leave of 1 lies outside all clusters. mean: (C, 3) x, z, heading.
-    cov: (C, 3, 3) about it. count: (C,) poses in each. label: (N,) the cluster of every pose, -1 for none.
+    cov: (C, 3, 3) about it. label: (N,) the cluster of every pose, -1 for none.
     """
 
     weight: Array
     mean: Array
     cov: Array
-    count: Indices
     label: Indices
 
     def __len__(self) -> int:
         return len(self.weight)
-
-    def heaviest(self, fewest: float) -> Clusters:
-        """Return the clusters with at least this weight; poses of the others belong to none."""
-        kept = int((self.weight >= fewest).sum())
-        label = np.where(self.label < kept, self.label, -1)
-        return Clusters(self.weight[:kept], self.mean[:kept], self.cov[:kept], self.count[:kept], label)
 
     def beside(self, others: Clusters, share: float) -> Clusters:
         """Return both, heaviest first: the others with this share, 0 … 1, of the whole weight. No pose is labelled."""
         weight = np.concatenate([(1.0 - share) * self.weight, share * others.weight])
         order = np.argsort(-weight, kind="stable")
         mean, cov = np.concatenate([self.mean, others.mean]), np.concatenate([self.cov, others.cov])
-        count = np.concatenate([self.count, others.count])
-        return Clusters(weight[order], mean[order], cov[order], count[order], np.full(0, -1))
+        return Clusters(weight[order], mean[order], cov[order], np.full(0, -1))
 
 
-def find_clusters(
-    poses: Array, weight: Array, *, cell_m: float = CELL_M, cell_rad: float = CELL_RAD, mass: float = 0.95
-) -> Clusters:
-    """Return the clusters of poses (N, 3) with weight (N,), in cells of cell_m × cell_m × about cell_rad.
+def find_clusters(poses: Array, weight: Array, *, mass: float = 0.95) -> Clusters:
+    """Return the clusters of poses (N, 3) with weight (N,), in cells of `CELL_M` × `CELL_M` × `CELL_RAD`.
 
     weight: not negative. mass: share of the weight, 0 … 1, that clusters hold at least. Raises ValueError when the
-    weights' sum is zero or not finite, or a cell is not larger than zero.
+    weights' sum is zero or not finite.
     """
     total = float(np.sum(weight))
     if not np.isfinite(total) or total <= 0:
         raise ValueError(f"weights sum to {total}")
     share, poses = np.asarray(weight, dtype=np.float64) / total, np.asarray(poses, dtype=np.float64)
-    if (np.ptp(poses, axis=0) < [cell_m, cell_m, cell_rad]).all():  # no larger than a cell, as while a place is tracked
+    if (np.ptp(poses, axis=0) < [CELL_M, CELL_M, CELL_RAD]).all():  # no larger than a cell, as while a place is tracked
         return _summarised(poses, share, np.zeros(len(poses), dtype=np.int64))
-    cells, cell_of_pose, around = _cells(poses, cell_m, cell_rad)
+    cells, cell_of_pose = _cells(poses)
     dense = _densest(np.asarray(np.bincount(cell_of_pose, share), dtype=np.float64), mass)
     part = np.full(len(cells), -1)
-    part[dense] = _connected(cells[dense], around)
+    part[dense] = _connected(cells[dense])
     return _summarised(poses, share, part[cell_of_pose])
 
 
-def cells_of(poses: Array, cell_m: float = CELL_M, cell_rad: float = CELL_RAD) -> Indices:
+def cells_of(poses: Array) -> Indices:
     """Return for each of the poses (N, 3) which of the occupied cells, from 0 on, it lies in."""
-    return _cells(poses, cell_m, cell_rad)[1]
+    return _cells(poses)[1]
 
 
-def _cells(poses: Array, cell_m: float, cell_rad: float) -> tuple[Indices, Indices, int]:
-    """Return the occupied cells (K, 3), the cell of each pose (N,), and how many cells close the heading's circle."""
-    if not (cell_m > 0 and cell_rad > 0):
-        raise ValueError(f"cells of {cell_m} m and {cell_rad} rad")
-    around = max(round(2 * np.pi / cell_rad), 1)
-    column, row = np.floor(poses[:, :2].T.copy() / cell_m).astype(np.int64)
-    sector = np.floor(poses[:, 2] * (around / (2 * np.pi))).astype(np.int64) % around
+def _cells(poses: Array) -> tuple[Indices, Indices]:
+    """Return the occupied cells (K, 3), and the cell of each pose (N,)."""
+    column, row = np.floor(poses[:, :2].T.copy() / CELL_M).astype(np.int64)
+    sector = np.floor(poses[:, 2] * (_AROUND / (2 * np.pi))).astype(np.int64) % _AROUND
     column, row = column - column.min(), row - row.min()
-    columns, rows = int(column.max()) + 1, int(row.max()) + 1
-    key, cell_of_pose = _occupied((column * rows + row) * around + sector, columns * rows * around)
-    cells = np.stack([key // around // rows, key // around % rows, key % around], axis=-1)
-    return cells, cell_of_pose, around
-
-
-def _occupied(key: Indices, keys: int) -> tuple[Indices, Indices]:
-    """Return which of so many keys occur (K,), ascending, and which of these each of `key` (N,) is."""
-    if keys > _TABLE_PER_POSE * len(key):
-        occupied, index = np.unique(key, return_inverse=True)
-        return occupied, index.ravel()
-    occurs = np.zeros(keys, dtype=bool)
-    occurs[key] = True
-    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[key]
+    rows = int(row.max()) + 1
+    key, cell_of_pose = np.unique((column * rows + row) * _AROUND + sector, return_inverse=True)
+    return np.stack([key // _AROUND // rows, key // _AROUND % rows, key % _AROUND], axis=-1), cell_of_pose
 
 
 def _densest(weight: Array, mass: float) -> Indices:
@@ -336,7 +303,7 @@ def _densest(weight: Array, mass: float) -> Indices:
     return np.sort(dense[weight[dense] > 0])
 
 
-def _connected(cells: Indices, around: int) -> Indices:
+def _connected(cells: Indices) -> Indices:
     """Return the connected part (K,) of each cell, numbered from 0 in the order of their first cells."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
@@ -346,7 +313,7 @@ def _connected(cells: Indices, around: int) -> Indices:
 
     def key_of(shifted: Indices) -> Indices:
         column, row, sector = np.moveaxis(shifted, -1, 0)
-        return np.asarray(((column + 1) * width + row + 1) * around + sector % around)
+        return np.asarray(((column + 1) * width + row + 1) * _AROUND + sector % _AROUND)
 
     key = key_of(cells)  # ascending, as the cells are
     wanted = key_of(cells + _NEIGHBOURS[:, None])
@@ -377,4 +344,4 @@ def _summarised(poses: Array, share: Array, part: Indices) -> Clusters:
     order = np.argsort(-weight, kind="stable")
     label = np.full(len(poses), -1)
     label[inside] = np.repeat(np.argsort(order), count)
-    return Clusters(weight[order], mean[order], cov[order], count[order], label)
+    return Clusters(weight[order], mean[order], cov[order], label)

@@ -159,9 +159,10 @@ class Recorder:
         if located.warning != self._warning:
             self._warning = located.warning
             self.message(located.t_ns, self._warning or "the map fits again", "WARNING" if self._warning else "INFO")
-        places = located.clusters and located.clusters.heaviest(SHOWN)
-        here = self._context.landmark_map.is_on(self._map_name, places.mean) if places else np.zeros(0, dtype=bool)
-        if places is None or len(places) < 2 or not here.any():  # the estimate's own ellipse says it all
+        places = located.clusters
+        likely = places.weight >= SHOWN if places else np.zeros(0, dtype=bool)
+        here = likely & self._context.landmark_map.is_on(self._map_name, places.mean) if places else likely
+        if not places or likely.sum() < 2 or not here.any():  # the estimate's own ellipse says it all
             for path in (paths.PLACES, paths.PLACE_ARROWS):
                 self._stream.log(path, rr.Clear(recursive=False))
             return

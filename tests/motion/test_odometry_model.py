@@ -153,13 +153,12 @@ def test_direction_of_travel_is_anticlockwise_from_straight_ahead(motion: list[f
 def test_columns_that_are_no_biases_and_weights_stay_as_they_are() -> None:
     rng = np.random.default_rng(5)
     columns = rng.normal(size=(5, 40))
-    names, circular = (*POSE, "tilt", "scale"), frozenset({"heading", "tilt"})
-    particles = Particles(names, columns.copy(), rng.normal(size=40), circular, np.zeros((2, 2)))
+    particles = Particles((*POSE, "tilt", "scale"), columns.copy(), rng.normal(size=40), np.zeros((2, 2)))
     after = PARAMETERS.predict(particles, Increment.from_mean([0.1, -0.4, 0.2]), rng)
     np.testing.assert_array_equal(after.columns[3:], columns[3:])
     np.testing.assert_array_equal(after.log_weight, particles.log_weight)
     np.testing.assert_array_equal(particles.columns, columns, err_msg="the particles given are not changed")
-    assert (after.names, after.circular) == (particles.names, particles.circular)
+    assert after.names == particles.names
 
 
 def test_an_increment_that_knows_its_covariance_adds_it_in_the_robot_frame() -> None:
