@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -159,8 +159,7 @@ def kept_with(landmark_map: LandmarkMap, key: tuple[Any, ...], make: Callable[[]
 # -- by place ---------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reach:
+class Reach(NamedTuple):
     """The floor in pieces (X, Z), and the landmarks within `radius_m` of any point of each.
 
     low: (2,) corner, per_m: pieces in a metre, 0 where one piece is the whole plane. start: (X·Z + 1,) and item: the
@@ -191,22 +190,6 @@ class Reach:
         """Return one list of all landmarks, for poses of which nothing is known."""
         start, item = np.array([0, count]), np.arange(count, dtype=np.int32)
         return cls(np.zeros(2), 0.0, (1, 1), start, item, np.inf)
-
-    @property
-    def arguments(self) -> tuple[Any, ...]:
-        """What loops over it take."""
-        return self.low, self.per_m, self.shape, self.start, self.item
-
-    def beside(self, points: Array) -> Indices:
-        """Return the landmarks, ascending, that may be within reach of any of the points (N, 2), and few others."""
-        if self.per_m == 0.0:
-            return self.item.astype(np.int64)
-        place = np.floor((points - self.low) * self.per_m)
-        inside = ((place >= 0) & (place < self.shape)).all(axis=1)
-        x, z = place[inside].astype(np.int64).T
-        pieces = np.unique(x * self.shape[1] + z)
-        lists = [self.item[self.start[k] : self.start[k + 1]] for k in pieces.tolist()]
-        return np.unique(np.concatenate([*lists, np.zeros(0, np.int32)])).astype(np.int64)
 
 
 def reach_of(landmark_map: LandmarkMap, range_m: float) -> Reach:
@@ -241,8 +224,7 @@ def in_view_of_cells(
     if range_max_m + slack > reach.radius_m:
         reach = Reach.everything(len(points))
     points = np.ascontiguousarray(points, dtype=np.float64)
-    camera = points, half_view_rad, range_max_m
-    return entry(in_view_of_cells_loop)(run, low, per_unit, shape, offset, *camera, *reach.arguments)
+    return entry(in_view_of_cells_loop)(run, low, per_unit, shape, offset, points, half_view_rad, range_max_m, reach)
 
 
 def within_reach_loop(
@@ -283,13 +265,9 @@ def in_view_of_cells_loop(
     points: Array,
     half_view_rad: float,
     farthest_m: float,
-    reach_low: Array,
-    reach_per_m: float,
-    reach_shape: tuple[int, int],
-    reach_start: Indices,
-    reach_item: NDArray[np.int32],
+    reach: Reach,
 ) -> tuple[Indices, NDArray[np.int32]]:
-    """Return what `in_view_of_cells` returns. reach_…: see `Reach`.
+    """Return what `in_view_of_cells` returns.
 
     Never one too few: what a camera sees lies between two planes through it and within range; for a whole cell the
     planes are moved apart by its half diagonal and turned by half its width in heading.
@@ -309,15 +287,15 @@ def in_view_of_cells_loop(
             x += np.cos(heading) * right + np.sin(heading) * back
             z += np.cos(heading) * back - np.sin(heading) * right
             cos, sin = np.cos(heading + yaw), np.sin(heading + yaw)
-            i, j = np.floor((x - reach_low[0]) * reach_per_m), np.floor((z - reach_low[1]) * reach_per_m)
+            i, j = np.floor((x - reach.low[0]) * reach.per_m), np.floor((z - reach.low[1]) * reach.per_m)
             first, last = 0, 0
-            if i >= 0 and j >= 0 and i < reach_shape[0] and j < reach_shape[1]:
-                piece = int(i) * reach_shape[1] + int(j)
-                first, last = reach_start[piece], reach_start[piece + 1]
+            if i >= 0 and j >= 0 and i < reach.shape[0] and j < reach.shape[1]:
+                piece = int(i) * reach.shape[1] + int(j)
+                first, last = reach.start[piece], reach.start[piece + 1]
             if used + last - first > len(item):
                 item = np.concatenate((item, np.empty(len(item) + last - first, np.int32)))
             for place in range(first, last):
-                k = reach_item[place]
+                k = reach.item[place]
                 dx, dz = points[k, 0] - x, points[k, 1] - z
                 aside, ahead = abs(dx * cos - dz * sin), -(dx * sin + dz * cos)
                 inside = dx * dx + dz * dz <= (farthest_m + slack) ** 2

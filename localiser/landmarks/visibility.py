@@ -15,9 +15,7 @@ from pydantic import Field
 
 from localiser.camera import Camera
 from localiser.geometry import Array, robot_from_map
-from localiser.landmarks.landmark_map import LandmarkMap, reach_of
-
-SMALL_MAP = 1000  # landmarks, up to which all are looked at
+from localiser.landmarks.landmark_map import LandmarkMap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,13 +73,12 @@ def sight(
     crosses the image within the range limits. Walls do not hide anything: the map holds edges, not surfaces.
     """
     parameters = parameters or SightParameters()
-    points, near = landmark_map.points, np.arange(len(landmark_map.points))
-    if len(points) > SMALL_MAP:
-        near = reach_of(landmark_map, parameters.range_max_m).beside(camera_poses[:, :2])
+    points = landmark_map.points
     # Those that can be within range of some pose are near the box of all poses.
     low, high = camera_poses[:, :2].min(axis=0), camera_poses[:, :2].max(axis=0)
-    outside = np.maximum(np.maximum(low - points[near], points[near] - high), 0.0)
-    near = near[(outside**2).sum(axis=1) <= parameters.range_max_m**2]
+    (x, z), reach_m = points.T, parameters.range_max_m
+    is_near = (x >= low[0] - reach_m) & (x <= high[0] + reach_m) & (z >= low[1] - reach_m) & (z <= high[1] + reach_m)
+    near = np.flatnonzero(is_near)
     right, ahead = in_camera(camera_poses, points[near])
     range_squared = right**2 + ahead**2
     possible = (
