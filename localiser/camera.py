@@ -95,8 +95,8 @@ class Camera:
         """Rotation (3, 3) from the camera's axes (right, up, backward) to the level frame: tilt after roll."""
         s, c = np.sin(self.mount.tilt_rad), np.cos(self.mount.tilt_rad)
         tilt = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
-        s, c = np.sin(self.mount.roll_rad), np.cos(self.mount.roll_rad)
-        roll = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        roll = np.eye(3)
+        roll[:2, :2] = self._roll_matrix
         return np.asarray(tilt @ roll)
 
     @cached_property

@@ -24,7 +24,7 @@ from typing import Annotated, Protocol
 import numpy as np
 from pydantic import Field
 
-from localiser.geometry import Array, Increment, cos_sin, wrap_angle
+from localiser.geometry import Array, Increment, cos_sin, wrap_angle, wrap_half_turn
 from localiser.particles import CAMERA_YAW, Particles, centred, estimate
 
 CONSTANT_ERRORS = ("distance_scale", "turn_scale", "veer", "delay", CAMERA_YAW)
@@ -242,8 +242,7 @@ def direction_of_travel(increment: Increment) -> float:
     right, backward = increment.mean[:2]
     if np.hypot(right, backward) < 1e-9:
         return float(increment.mean[2] / 2)
-    angle = np.arctan2(-right, -backward)
-    return float((angle + np.pi / 2) % np.pi - np.pi / 2)
+    return float(wrap_half_turn(np.arctan2(-right, -backward)))
 
 
 def _from_step(way: float) -> Array:
