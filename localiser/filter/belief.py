@@ -28,7 +28,7 @@ import numpy as np
 
 from localiser import particles
 from localiser.filter.events import SURE, MapWarning, Reason, is_near, near_weight
-from localiser.filter.scene import Jump
+from localiser.filter.scene import WHOLLY_NEW, Jump
 from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
@@ -52,11 +52,10 @@ NEGLIGIBLE = 1e-6  # probability of the candidates below which they are not foll
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
 # Rooms repeat themselves. While the tracked place explains what is seen, another place gains on it by at most this for
-# each metre, however well it fits.
+# each metre from which landmarks were in view, however well it fits.
 PATIENCE = 1.5
-# It explains it where its log-likelihood along the last metre, of which so much is remembered, is above this.
+# It explains it where its log-likelihood along the last such metre is above this; where none is in view, above 0.
 SUPPORT_M, MOST_SUPPORT, SUPPORTED = 1.0, 8.0, 2.0
-SUSPECTED = 0.008  # probability of having been carried from which on what it explained before counts for nothing
 WON = 50.0  # odds against the particles from which on a place is tracked in their stead
 RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
@@ -82,7 +81,8 @@ class Belief:
     candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: progress
     towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were last
     proposed, or since there was last no need to. visibility: which landmarks show at the tracked place; shown: the
-    detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre.
+    detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre from which
+    landmarks were in view.
     is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
     overlooked: probability that no image has looked at the true place since a place was last known. history: what
     recent images say of places that are proposed next. near: whether landmarks near the tracked place are there.
@@ -172,14 +172,15 @@ class Belief:
         carried = jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
-        log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
+        log_tracked, log_shown, blind, support, seen_m = 0.0, 0.0, 0.0, 0.0, jump.path_m
         if found is not None and found.by_rate is not None and found.shown_by_rate is not None:
             detections, log_tracked = _rated(found.before, PLACE_POWER * found.by_rate, detections, novelty)
             shown, log_shown = _rated(found.before, PLACE_POWER * found.shown_by_rate, shown, novelty)
-            blind = sees * float(found.before.weight[(found.by_rate == 0.0).all(axis=0)].sum())
-            support = self.support * float(np.exp(-jump.path_m / SUPPORT_M)) if carried < SUSPECTED else 0.0
+            blind = float(found.before.weight[(found.by_rate == 0.0).all(axis=0)].sum())
+            seen_m = (1.0 - blind) * jump.path_m
+            support = self.support * float(np.exp(-seen_m / SUPPORT_M)) if jump.log_ratio <= WHOLLY_NEW else 0.0
         explained = support + log_shown
-        is_explained = carried < SUSPECTED and explained > SUPPORTED
+        is_explained = jump.log_ratio <= WHOLLY_NEW and explained > SUPPORTED * (1.0 - blind)
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
             moved = replace(candidates, particles=move.of(candidates.particles))
@@ -190,7 +191,7 @@ class Belief:
         limits = np.array([0.0, np.inf])
         if is_explained:
             gain = max(log_tracked, 0.0)
-            limits = np.array([max(log_shown - gain, 0.0), gain + PATIENCE * jump.path_m])
+            limits = np.array([max(log_shown - gain, 0.0), gain + PATIENCE * seen_m])
             log_elsewhere = float(min(log_elsewhere - limits[0], limits[1]))
         log_bare = -BARE * novelty if sees else 0.0
         support = min(explained, MOST_SUPPORT)

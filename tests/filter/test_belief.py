@@ -100,6 +100,28 @@ def test_the_map_of_another_floor_is_found_out(kind: str) -> None:
     assert not right.warned.any() and right.right.all() and right.sure.mean() > 0.95
 
 
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+def test_a_robot_that_drives_on_where_nothing_is_mapped_keeps_its_place(seed: int) -> None:
+    """The corridor goes on beyond its mapped part as one that is mapped 40 m away, so that this one fits by chance."""
+    rng, images = np.random.default_rng(seed), 140
+    z_m = -np.concatenate([rng.uniform(1, 7, 16), rng.uniform(7.5, 22, 32)])
+    points = np.stack([np.tile([-1.0, 1.0], 24) + rng.normal(0, 0.1, 48), z_m], axis=-1)
+    both = np.concatenate([points[:16], np.add(points[16:], [40.0, 0.0])])
+    world, landmark_map = (
+        LandmarkMap.from_points(one, bottom_m=np.zeros(48), top_m=np.full(48, 2.0)) for one in (points, both)
+    )
+    poses = np.stack([np.zeros(images), -STEP_M * np.arange(images), np.zeros(images)], axis=-1)
+    truth = Trajectory(STEP_NS * np.arange(1, images + 1), poses)
+    seen = simulated_edges(world, CAMERA, truth, rng, noise=EdgeNoise(clutter_per_frame=3.0))
+    robot = Localiser(landmark_map, CAMERA, read_config(None, ["observation.kind=line"]), seed)
+    robot.start(poses[0], START, 0)
+    robot.odometry(0, poses[0])
+    for t_ns, pose, edges in zip(truth.t_ns, poses, seen, strict=True):
+        robot.edges(int(t_ns), edges)
+        for frame in robot.odometry(int(t_ns), pose):
+            assert np.hypot(*(frame.located.estimate.pose - pose)[:2]) < 0.5
+
+
 CLOUD = Particles(POSE, np.zeros((3, 10)), np.zeros(10))
 MISSED = NearLandmarks(np.arange(30), np.full(30, 9.0), np.zeros(30))
 
