@@ -285,7 +285,13 @@ class Localiser:
         """
         if self._own["observation"] is None:
             raise InputError("expected Localiser(…, observation=…), which understands it", field="measurement")
-        t_ns, numbers = _nanoseconds(t_ns), _array("measurement", measurement)
+        t_ns = _nanoseconds(t_ns)
+        try:
+            numbers: NDArray[Any] = np.array(measurement)
+        except ValueError:  # rows of different lengths
+            numbers = np.array(None)
+        if numbers.dtype.kind not in "fiub":
+            raise InputError(f"expected an array of numbers, found {measurement!r}", field="measurement")
         self._check(images=False)
         self._require_ready(t_ns, "measurement")
         return self._step(self._mcl, Sighting(t_ns, measurement=numbers))
@@ -490,15 +496,4 @@ def _covariance(cov: ArrayLike) -> Array:
     asymmetry = np.abs(found - found.T).max()
     if asymmetry > 1e-9 * np.abs(found).max() or variances[0] < -1e-12 * abs(variances[-1]):
         raise InputError(f"expected a symmetric matrix without negative eigenvalues, found {cov!r}", field="cov")
-    return found
-
-
-def _array(name: str, values: ArrayLike) -> NDArray[Any]:
-    """Return numbers of any kind and shape. Raises InputError."""
-    try:
-        found = np.array(values)
-    except ValueError:  # rows of different lengths
-        found = np.array(None)
-    if found.dtype.kind not in "fiub":
-        raise InputError(f"expected an array of numbers, found {values!r}", field=name)
     return found

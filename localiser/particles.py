@@ -263,17 +263,18 @@ class Clusters:
 def find_clusters(poses: Array, weight: Array, *, mass: float = 0.95) -> Clusters:
     """Return the clusters of poses (N, 3) with weight (N,), in cells of `CELL_M` × `CELL_M` × `CELL_RAD`.
 
-    weight: not negative. mass: share of the weight, 0 … 1, that clusters hold at least. Raises ValueError when the
-    weights' sum is zero or not finite.
+    weight: not negative, of any positive sum. mass: share of the weight, 0 … 1, that clusters hold at least.
     """
-    total = float(np.sum(weight))
-    if not np.isfinite(total) or total <= 0:
-        raise ValueError(f"weights sum to {total}")
-    share, poses = np.asarray(weight, dtype=np.float64) / total, np.asarray(poses, dtype=np.float64)
+    share = weight / float(np.sum(weight))
     if (np.ptp(poses, axis=0) < [CELL_M, CELL_M, CELL_RAD]).all():  # no larger than a cell, as while a place is tracked
         return _summarised(poses, share, np.zeros(len(poses), dtype=np.int64))
     cells, cell_of_pose = _cells(poses)
-    dense = _densest(np.asarray(np.bincount(cell_of_pose, share), dtype=np.float64), mass)
+    # The fewest cells whose weight adds up to `mass`. Rounding must not let a cell of next to nothing in where all the
+    # others hold it exactly.
+    cell_weight = np.bincount(cell_of_pose, share)
+    by_weight = np.argsort(-cell_weight, kind="stable")
+    dense = by_weight[: np.searchsorted(np.cumsum(cell_weight[by_weight]), mass - 1e-12) + 1]
+    dense = np.sort(dense[cell_weight[dense] > 0])
     part = np.full(len(cells), -1)
     part[dense] = _connected(cells[dense])
     return _summarised(poses, share, part[cell_of_pose])
@@ -292,15 +293,6 @@ def _cells(poses: Array) -> tuple[Indices, Indices]:
     rows = int(row.max()) + 1
     key, cell_of_pose = np.unique((column * rows + row) * _AROUND + sector, return_inverse=True)
     return np.stack([key // _AROUND // rows, key // _AROUND % rows, key % _AROUND], axis=-1), cell_of_pose
-
-
-def _densest(weight: Array, mass: float) -> Indices:
-    """Return the fewest cells, ascending, whose weight (K,), of sum 1, adds up to `mass`; none without weight."""
-    heaviest = np.argsort(-weight, kind="stable")
-    # Rounding must not let a cell of next to nothing in where all the others hold `mass` exactly.
-    needed = np.searchsorted(np.cumsum(weight[heaviest]), mass - 1e-12) + 1
-    dense = heaviest[:needed]
-    return np.sort(dense[weight[dense] > 0])
 
 
 def _connected(cells: Indices) -> Indices:

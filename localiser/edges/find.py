@@ -97,11 +97,7 @@ def _detector_of(parameters: EdgeParameters) -> Detector:
 
 
 def warm_up(camera: Camera, parameters: EdgeParameters) -> None:
-    """Compile all loops by finding one edge that has a foot, and make the tables of a camera by finding none."""
-    plain = Camera(320, 240, 300.0, 300.0, 159.5, 119.5, Mount(tilt_rad=0.35, height_m=1.0))
-    pillar = np.full((plain.height, plain.width), 50, dtype=np.uint8)
-    pillar[40:200, plain.width // 2 :] = 200
-    find_edges(pillar, plain, parameters)
+    """Compile the loop, and make the tables of a camera, by finding no edge."""
     find_edges(np.zeros((camera.height, camera.width), dtype=np.uint8), camera, parameters)
 
 
@@ -114,8 +110,7 @@ def grey_image(image: Image, camera: Camera) -> Image:
     if image.shape[:2] != (camera.height, camera.width):
         found = f"{image.shape[1]}×{image.shape[0]}"
         raise InputError(f"expected {camera.width}×{camera.height} as the camera says, found {found}", field="image")
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return np.require(grey, dtype=np.uint8, requirements=["C", "W"])  # for other arrays loops are compiled anew
+    return np.ascontiguousarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 # -- which segments are vertical edges, and which of those are one edge ----------------------------------------------
