@@ -30,7 +30,7 @@ from localiser.landmarks import LandmarkMap, sight
 from localiser.motion import MotionParameters
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.observation.inlier_rate import InlierRate
-from localiser.particles import Particles, estimate, from_gaussian, systematic_resample, take
+from localiser.particles import Particles, from_gaussian, systematic_resample, take
 
 FOCAL = 554.0
 CAMERA = Camera(640, 480, FOCAL, FOCAL, 319.5, 239.5, Mount(np.radians(20), 0.9))
@@ -71,7 +71,7 @@ def step(observation: EdgeObservation, rng: np.random.Generator, frame: Frame) -
     moved = MotionParameters().predict(cloud, Increment.from_mean([0.0, -0.1, 0.02]), rng)
     log_weight = InlierRate.unknown().log_mean(observation.by_rate(moved, sighting, landmark_map))
     weighed = Particles(moved.names, moved.columns, log_weight)
-    estimate(weighed)
+    _ = weighed.estimate
     take(weighed, systematic_resample(weighed.weight, len(weighed), rng))
 
 

@@ -62,7 +62,10 @@ class Particles:
 
     @cached_property
     def estimate(self) -> Estimate:
-        """See `estimate`."""
+        """The weighted mean and covariance over all columns; the headings are averaged as directions.
+
+        The covariance is that between the particles and, of the constant errors, that within each.
+        """
         mean, residual, weight = centred(self)
         cov = np.asarray((residual * weight) @ residual.T)
         if self.constant_error_cov.any():
@@ -176,14 +179,6 @@ def thinned(particles: Particles, count: int) -> Particles:
     """Return every k-th of the particles, with its weight: `count` of them, or somewhat more."""
     step = max(particles.columns.shape[1] // count, 1)
     return replace(particles, columns=particles.columns[:, ::step], log_weight=particles.log_weight[::step])
-
-
-def estimate(particles: Particles) -> Estimate:
-    """Return the weighted mean and covariance over all columns; the headings are averaged as directions.
-
-    The covariance is that between the particles and, of the constant errors, that within each.
-    """
-    return particles.estimate
 
 
 def centred(particles: Particles) -> tuple[Array, Array, Array]:

@@ -13,7 +13,6 @@ from localiser.particles import (
     Particles,
     cells_of,
     effective_sample_size,
-    estimate,
     find_clusters,
     from_gaussian,
     log_sum,
@@ -76,7 +75,7 @@ def test_mean_and_covariance_are_numpys_with_weights():
     names = (*POSE, "scale", "veer")
     columns, log_weight = rng.normal(0, [[2], [1], [0.05], [0.1], [0.3]], (5, 400)), rng.normal(0, 1, 400)
     columns[3] += columns[0]
-    found = estimate(particles_of(columns, log_weight, names))
+    found = particles_of(columns, log_weight, names).estimate
     weight = np.exp(log_weight)
     assert found.names == names
     straight = [0, 1, 3, 4]
@@ -95,7 +94,7 @@ def test_turning_every_heading_turns_the_mean_and_leaves_the_covariance(turn):
     columns, names, log_weight = rng.normal(0, 0.3, (4, 50)), (*POSE, "veer"), rng.normal(0, 1, 50)
     turned = columns.copy()
     turned[2] = wrap_angle(columns[2] + turn)
-    still, found = (estimate(particles_of(each, log_weight, names)) for each in (columns, turned))
+    still, found = (particles_of(each, log_weight, names).estimate for each in (columns, turned))
     assert wrap_angle(found.mean[2] - still.mean[2] - turn) == pytest.approx(0, abs=1e-12)
     np.testing.assert_allclose(found.mean[[0, 1, 3]], still.mean[[0, 1, 3]])
     np.testing.assert_allclose(found.cov, still.cov, atol=1e-12)
@@ -103,7 +102,7 @@ def test_turning_every_heading_turns_the_mean_and_leaves_the_covariance(turn):
 
 def test_only_headings_are_wrapped():
     columns = np.array([[3.0, -3.0], [0.0, 0.0], [3.0, -3.0], [3.0, -3.0]])
-    found = estimate(particles_of(columns, names=(*POSE, "veer")))
+    found = particles_of(columns, names=(*POSE, "veer")).estimate
     assert abs(found.mean[2]) == pytest.approx(np.pi)
     assert found.mean[0] == found.mean[3] == 0
     assert found.pose_cov[0, 0] == found.cov[3, 3] == 9
@@ -111,7 +110,7 @@ def test_only_headings_are_wrapped():
 
 
 def test_particles_without_weight_do_not_count():
-    found = estimate(particles_of([[1, 100], [2, 100], [0.3, 2.0]], [0.0, -np.inf]))
+    found = particles_of([[1, 100], [2, 100], [0.3, 2.0]], [0.0, -np.inf]).estimate
     np.testing.assert_allclose(found.pose, [1, 2, 0.3])
     np.testing.assert_allclose(found.pose_cov, 0, atol=1e-15)
 
@@ -125,7 +124,7 @@ def test_drawn_particles_have_the_mean_and_covariance_asked_for():
     particles = from_gaussian(mean, cov, count, np.random.default_rng(5))
     assert len(particles) == count
     assert (np.abs(particles["heading"]) <= np.pi).all()
-    found = estimate(particles)
+    found = particles.estimate
     # 4 standard errors: √(C_ii / n) of a mean, √((C_ii C_jj + C_ij²) / n) of a covariance.
     variance = np.diag(cov)
     assert abs(wrap_angle(found.mean[2] - mean[2])) < 4 * np.sqrt(variance[2] / count)
@@ -260,7 +259,7 @@ def test_finds_three_places_by_weight_with_mean_and_covariance():
     np.testing.assert_array_equal(found.label, place)
     for cluster in range(3):
         own = poses[place == cluster]
-        oracle = estimate(Particles(POSE, own.T, np.zeros(len(own))))
+        oracle = Particles(POSE, own.T, np.zeros(len(own))).estimate
         np.testing.assert_allclose(wrap_angle(found.mean[cluster] - oracle.mean), 0, atol=1e-12)
         np.testing.assert_allclose(found.cov[cluster], oracle.cov, atol=1e-12)
 

@@ -261,7 +261,7 @@ class Belief:
             history=replace(self.history, overlooked=self.history.overlooked * overlooked),
         )
         if tracked is not None:  # poses at the tracked place are no other place
-            proposed = proposed.only(~is_near(proposed.particles.poses, particles.estimate(tracked).pose))
+            proposed = proposed.only(~is_near(proposed.particles.poses, tracked.estimate.pose))
         if len(proposed):
             late = self.history.weighed(proposed, sighting, search.evidence, motion, rng)
             more, probability = beyond(late, self.candidates, self.elsewhere)
@@ -364,11 +364,11 @@ class Belief:
         assert cloud is not None
         clusters = find_clusters(cloud.poses, cloud.weight)
         if tracked is None:
-            return cloud, particles.estimate(particles.only(cloud, clusters.label == 0)), clusters
+            return cloud, particles.only(cloud, clusters.label == 0).estimate, clusters
         if others is not None and self.elsewhere > 0:
             elsewhere = find_clusters(others.poses, others.weight)
             clusters = clusters.beside(elsewhere, self.elsewhere / (self.elsewhere + self.here))
-        return tracked, particles.estimate(tracked), clusters
+        return tracked, tracked.estimate, clusters
 
     def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
         """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""

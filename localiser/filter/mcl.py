@@ -210,7 +210,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     weighed = _compared(mcl, state, found, image, rng)
     # Estimate: before resampling, which only adds noise. Which landmark does each edge show from there?
     located, association = _located(mcl, state, weighed, measured, image)
-    if found is not None and not is_near(particles.estimate(found.particles).pose[None], located.estimate.pose).all():
+    if found is not None and not is_near(found.particles.estimate.pose[None], located.estimate.pose).all():
         located = replace(located, took_over=True)
     # Learn: which edges are clutter, which landmarks are seen, how far do edges, the camera's height and the map err?
     clutter = _clutter(state, weighed, located, association)
@@ -379,7 +379,7 @@ def _compared(
     like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
     belief = state.belief.after(mcl.search, found, like, image.sighting, image.jump, move, rng)
     if weighed is not None:
-        belief = belief.beside(particles.estimate(weighed).pose)
+        belief = belief.beside(weighed.estimate.pose)
     elif belief.candidates is None:
         belief = replace(belief, candidates=mcl.search.even(like, mcl.search.parameters.particles_most, rng))
     maps = len(mcl.landmark_map.maps)

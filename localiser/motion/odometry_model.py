@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from localiser.geometry import Array, Increment, cos_sin, wrap_angle, wrap_half_turn
-from localiser.particles import CAMERA_YAW, Particles, centred, estimate
+from localiser.particles import CAMERA_YAW, Particles, centred
 
 CONSTANT_ERRORS = ("distance_scale", "turn_scale", "veer", "delay", CAMERA_YAW)
 SLIP = 0.1  # sigma of slipping sideways, as a share of that along the way: no wheel is quite true
@@ -90,7 +90,7 @@ class MotionParameters:
         Each pose becomes one of the camera by a draw of the yaw. What is then known of the yaw follows from how wide
         the headings were: all where they are certain, nothing where they go all around.
         """
-        found, cloud = self.with_constant_errors(particles), estimate(particles)
+        found, cloud = self.with_constant_errors(particles), particles.estimate
         yaw_var = self.bias.cov[-1, -1]
         share = yaw_var / max(yaw_var + cloud.cov[2, 2], 1e-300)
         camera_heading = particles["heading"] + np.sqrt(yaw_var) * rng.standard_normal(len(particles))

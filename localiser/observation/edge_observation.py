@@ -44,7 +44,7 @@ from localiser.observation.clutter import EarlierFrame, scene_clutter
 from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import ObservationParameters, Sighting
-from localiser.particles import CAMERA_YAW, POSE, Particles, estimate, take
+from localiser.particles import CAMERA_YAW, POSE, Particles, take
 
 FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
 _CELL = (0.5, 0.5, 2 * np.pi / 32)  # m, m, rad; larger where particles are few
@@ -232,7 +232,7 @@ class EdgeObservation:
 
     def associate_cloud(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
         """Return how the edges compare with the landmarks seen from the mean pose of particles, over all poses."""
-        return self.associate(estimate(particles).pose_as_seen, sighting, landmark_map, particles)
+        return self.associate(particles.estimate.pose_as_seen, sighting, landmark_map, particles)
 
     def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
         """Return two angles (rad), medians over landmarks and edges: the spread of predictions, the measured sigma.

@@ -20,7 +20,7 @@ from localiser.observation import (
     Sighting,
     Targets,
 )
-from localiser.particles import effective_sample_size, estimate, from_gaussian, normalised, take
+from localiser.particles import effective_sample_size, from_gaussian, normalised, take
 
 MOUNT = Mount(tilt_rad=np.radians(20), height_m=1.0, right_m=0.05, back_m=-0.1, yaw_rad=0.02)
 CAMERA = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, mount=MOUNT)
@@ -117,7 +117,7 @@ def test_posterior_is_that_of_blind_moves_with_far_more_of_the_particles(kind):
         else:
             moved = MOTION.predict(before, MOVE, rng)
         weighed = replace(moved, log_weight=moved.log_weight + one.log_likelihood(moved, Sighting(0, edges), MAP))
-        posterior.append(estimate(weighed))
+        posterior.append(weighed.estimate)
         effective.append(effective_sample_size(weighed.weight) / count)
     found, oracle = posterior
     sigma = np.sqrt(np.diag(oracle.cov))
@@ -153,8 +153,8 @@ def test_weights_take_back_stages_that_were_cut_short(monkeypatch):
     guided = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.99).moved(
         cloud(50_000, sigma=0.05), MOVE, MOTION, np.random.default_rng(0)
     )
-    found = estimate(guided)
-    blind = estimate(MOTION.predict(cloud(50_000, sigma=0.05), MOVE, np.random.default_rng(1)))
+    found = guided.estimate
+    blind = MOTION.predict(cloud(50_000, sigma=0.05), MOVE, np.random.default_rng(1)).estimate
     sigma = np.sqrt(np.diag(blind.cov))
     assert (found.mean - blind.mean) / sigma == pytest.approx(np.zeros(3), abs=0.1)
     assert np.sqrt(np.diag(found.cov)) / sigma == pytest.approx(np.ones(3), abs=0.1)

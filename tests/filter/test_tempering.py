@@ -60,7 +60,7 @@ def test_a_step_leaves_just_as_many_effective_samples_as_asked() -> None:
 def test_spreading_keeps_mean_and_covariance(heading: float) -> None:
     before = cloud(1, 20_000, heading)
     after = particles.spread(before, np.random.default_rng(2))
-    old, new = particles.estimate(before), particles.estimate(after)
+    old, new = before.estimate, after.estimate
     # Draws of a kernel of width h move the mean by h σ/√N and the variance by about 2 h √(2/N): 4 standard errors.
     width = 20_000 ** (-1 / 7)
     assert np.abs(wrap_angle(new.mean - old.mean) / SIGMA).max() < 4 * width / np.sqrt(20_000)
@@ -81,7 +81,7 @@ def test_stages_find_the_posterior_that_one_step_has_no_particles_for(sharpness:
     errors, ratios = [], []
     for seed in range(30):
         found = weighed(Peak(2 * SIGMA, sharpness), cloud(seed), first=True, seed=seed)
-        estimate = particles.estimate(found)
+        estimate = found.estimate
         errors.append((estimate.mean - shrink * 2 * SIGMA) / (sharpness * SIGMA))
         ratios.append(np.diag(estimate.cov) / (shrink * (sharpness * SIGMA) ** 2))
     # In the prior's tail, 3.5 sigmas out, particles are few: within one of the posterior's sigmas, not twenty.
@@ -92,7 +92,7 @@ def test_stages_find_the_posterior_that_one_step_has_no_particles_for(sharpness:
 def test_stages_alone_also_find_a_posterior_that_is_not_in_the_tail() -> None:
     errors = []
     for seed in range(30):
-        estimate = particles.estimate(weighed(Peak(SIGMA, 1 / 20), cloud(seed), seed=seed))
+        estimate = weighed(Peak(SIGMA, 1 / 20), cloud(seed), seed=seed).estimate
         errors.append((estimate.mean - SIGMA) / (SIGMA / 20))
     assert np.sqrt(np.mean(np.square(errors))) < 0.5
 
@@ -100,7 +100,7 @@ def test_stages_alone_also_find_a_posterior_that_is_not_in_the_tail() -> None:
 def test_one_step_alone_collapses_on_the_same_posterior() -> None:
     found = weighed(Peak(2 * SIGMA, 1 / 40), cloud(0), stage_below=0.0)
     assert particles.effective_sample_size(found.weight) < 5
-    error = (particles.estimate(found).mean - 2 * SIGMA) / (SIGMA / 40)
+    error = (found.estimate.mean - 2 * SIGMA) / (SIGMA / 40)
     assert np.abs(error).max() > 10
 
 
@@ -112,7 +112,7 @@ def test_the_first_image_is_weighed_in_stages_even_where_all_particles_fit_alike
 
     peak = Floored(2 * SIGMA, 1 / 40)
     later, first = (weighed(peak, cloud(4), first=first) for first in (False, True))
-    off = [np.abs((particles.estimate(found).mean - 2 * SIGMA) / SIGMA).max() for found in (later, first)]
+    off = [np.abs((found.estimate.mean - 2 * SIGMA) / SIGMA).max() for found in (later, first)]
     assert off[0] > 1.0
     assert off[1] < 0.2
 

@@ -82,7 +82,7 @@ def test_what_is_known_after_a_way_that_nobody_saw_is_what_brute_force_says() ->
     cloud = start(count)
     for increment in increments:
         cloud = NOISE.predict(cloud, increment, rng)
-    found = particles.estimate(cloud)
+    found = cloud.estimate
     assert found.names == (*POSE, *CONSTANT_ERRORS)
     sigma = expected.std(axis=1)
     np.testing.assert_allclose((found.mean - expected.mean(axis=1)) / sigma, 0, atol=0.03)
@@ -118,7 +118,7 @@ def test_biases_are_learnt_from_where_the_camera_is_seen_and_their_sigmas_are_ho
             off = seen - camera
             off[:, 2] = wrap_angle(off[:, 2])
             cloud = replace(cloud, log_weight=cloud.log_weight - 0.5 * np.square(off / measured_sigma).sum(axis=1))
-            found = particles.estimate(cloud)
+            found = cloud.estimate
             if particles.effective_sample_size(cloud.weight) < 250:
                 cloud = particles.take(cloud, np.sort(rng.choice(500, 500, p=cloud.weight)))
         error = found.mean[3:] - bias
@@ -141,7 +141,7 @@ def test_a_robot_that_stands_learns_nothing_and_one_that_turns_nothing_of_its_di
 def test_a_start_says_of_the_robots_heading_what_it_said_and_of_the_yaw_the_prior(heading_sigma: float) -> None:
     around = heading_sigma > np.pi
     cloud = start(40_000, cov=np.diag([0.01, 0.01, heading_sigma]) ** 2)
-    found = particles.estimate(cloud)
+    found = cloud.estimate
     np.testing.assert_allclose(np.diag(found.cov)[3:], SIGMA**2, rtol=0.03)
     if not around:
         np.testing.assert_allclose(found.cov[2, 2], heading_sigma**2, rtol=0.03, atol=1e-12)

@@ -107,6 +107,6 @@ def test_a_pose_is_found_among_lookalikes() -> None:
     rng = np.random.default_rng(0)
     start = particles.from_gaussian(truth + np.array([0.2, -0.1, 0.05]), np.diag([0.3, 0.3, 0.1]) ** 2, 20_000, rng)
     log_likelihood = observation().log_likelihood(start, Sighting(0, edges_at(truth, [0, 1, 2, 3])), MAP)
-    found = particles.estimate(replace(start, log_weight=log_likelihood))
+    found = replace(start, log_weight=log_likelihood).estimate
     error = found.pose - truth
     assert (np.abs(error) < 3 * np.sqrt(np.diag(found.pose_cov))).all()

@@ -24,7 +24,7 @@ from localiser.filter import Image, Located, LocatedFrame
 from localiser.geometry import Array, Increment, Trajectory, compose, forward, robot_from_map
 from localiser.landmarks import LandmarkMap, predicted_lines
 from localiser.observation import Matches
-from localiser.particles import Particles, effective_sample_size, estimate, from_gaussian
+from localiser.particles import Particles, effective_sample_size, from_gaussian
 from localiser.view import Context, LiveView, RrdFile, palette, paths
 from localiser.view.draw import CHI2_95_2D, MOST_PARTICLES, MOST_POINTS, camera_pose, ellipse_points, joins
 from localiser.view.viewer import Kind, viewer_command
@@ -93,7 +93,7 @@ def frame(number: int, *, particles: int = 300, t0_ns: int = 0, seed: int = 0) -
     cloud = Particles(cloud.names, cloud.columns, rng.normal(size=particles))
     located = Located(
         t0_ns + number * STEP_NS,
-        estimate(cloud),
+        cloud.estimate,
         cloud,
         effective_sample_size(cloud.weight),
         edges_at(pose),
@@ -330,7 +330,7 @@ def test_frustum_stands_where_the_camera_is() -> None:
 def test_ellipse_lies_where_95_percent_are_inside() -> None:
     rng = np.random.default_rng(3)
     cov = np.array([[0.04, 0.03, 0.0], [0.03, 0.09, 0.0], [0.0, 0.0, 0.01]])
-    located = estimate(from_gaussian(np.array([2.0, -1.0, 0.4]), cov, 20_000, rng))
+    located = from_gaussian(np.array([2.0, -1.0, 0.4]), cov, 20_000, rng).estimate
     offset = ellipse_points(located.pose, located.pose_cov) - located.pose[:2]
     distance = np.einsum("ij,jk,ik->i", offset, np.linalg.inv(located.pose_cov[:2, :2]), offset)
     np.testing.assert_allclose(distance, CHI2_95_2D, rtol=1e-9)
