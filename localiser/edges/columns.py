@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from localiser.camera import Camera
 from localiser.edges.views import ROWS_AT_ONCE, ROWS_PER_BLOCK, Image, column_view
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 SCALE_PX = 1.0  # the image is filtered by the derivative of a Gaussian of this width: edges 3 px apart stay apart
 ALONG = np.array([1.0, 2.0, 2.0, 2.0, 1.0]) / 8  # weights of the blocks in which peaks are looked for
@@ -129,29 +130,65 @@ def unseen_blocks(camera: Camera) -> NDArray[np.bool_]:
 
 def peaks_of(field: GradientField) -> Peaks:
     """Return where the size of the smoothed gradient has a peak along its row, and how peaks go on from row to row."""
-    smooth, beside = field.smooth, np.arange(-1, 2)[:, None]
-    row, column = np.nonzero((np.abs(smooth) > np.float64(PEAK_SIGMA * field.smooth_sigma)) & ~field.unseen)
-    before, here, after = np.abs(smooth[row, column + beside])
     # None beside what is not seen: a slope that the border cuts off has no top there.
-    is_top = (here > before) & (here >= after) & ~field.unseen[row, column + beside].any(axis=0)
-    row, column = row[is_top], column[is_top]
-    polarity = np.sign(smooth[row, column]).astype(np.int8)
-    left, here, right = smooth[row, column + beside].astype(np.float64) * polarity
-    position = column + (right - left) / (2 * (2 * here - left - right))
+    peaks = compiled(peaks_loop)(field.smooth, field.unseen, PEAK_SIGMA * field.smooth_sigma)
+    rows, width = field.smooth.shape
+    return Peaks(*peaks, compiled(links_loop)(*peaks, np.full((rows + 2, width + 2), -1, dtype=np.int32)))
 
-    index, who = np.arange(len(row)), np.full((len(smooth) + 2, smooth.shape[1] + 2), -1)
-    who[row + 1, column + 1] = index
 
-    def nearest(by: int) -> NDArray[np.int64]:
-        """Return the nearest peak (P,) of the same polarity so many rows further down, -1 where there is none."""
-        others = who[row + 1 + by, column + 1 + beside]
-        apart = np.where(polarity[others] == polarity, np.abs(position[others] - position), np.inf)
-        apart[others < 0] = np.inf
-        best = apart.argmin(axis=0)
-        return np.where(np.isfinite(apart[best, index]), others[best, index], -1)
+def peaks_loop(
+    smooth: NDArray[np.float32], unseen: NDArray[np.bool_], least: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int8]]:
+    """Return row, column, sub-pixel position and sign (P,) of the peaks along rows (B, W) higher than `least`."""
+    rows, width = smooth.shape
+    most = rows * (width // 2)
+    row, column = np.empty(most, np.int64), np.empty(most, np.int64)
+    position, sign = np.empty(most, np.float64), np.empty(most, np.int8)
+    count = 0
+    for r in range(rows):
+        for c in range(1, width - 1):
+            here = abs(smooth[r, c])
+            if here <= least or here <= abs(smooth[r, c - 1]) or here < abs(smooth[r, c + 1]):
+                continue
+            if unseen[r, c - 1] or unseen[r, c] or unseen[r, c + 1]:
+                continue
+            polarity = 1 if smooth[r, c] > 0 else -1
+            left, right = smooth[r, c - 1] * polarity, smooth[r, c + 1] * polarity
+            row[count], column[count], sign[count] = r, c, polarity
+            position[count] = c + (right - left) / (2 * (2 * here - left - right))
+            count += 1
+    return row[:count], column[:count], position[:count], sign[:count]
 
-    above, below = nearest(-1), nearest(1)
-    first = np.where((above >= 0) & (below[above] == index), above, index)
-    for _ in range(len(smooth).bit_length()):  # each step goes twice as far up the chain
-        first = first[first]
-    return Peaks(row, column, position, polarity, np.unique(first, return_inverse=True)[1])
+
+def links_loop(
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    position: Array,
+    polarity: NDArray[np.int8],
+    who: NDArray[np.int32],
+) -> NDArray[np.int64]:
+    """Return the chain (P,) of each peak, sorted by row; who: (B + 2, W + 2) of -1 to work in."""
+    count = len(row)
+    nearest = np.full((2, count), -1, np.int64)  # in the row above, and below
+    for p in range(count):
+        who[row[p] + 1, column[p] + 1] = p
+    for p in range(count):
+        for side in range(2):
+            least = np.inf
+            for by in range(-1, 2):
+                other = who[row[p] + 2 * side, column[p] + 1 + by]
+                if other < 0 or polarity[other] != polarity[p]:
+                    continue
+                apart = abs(position[other] - position[p])
+                if apart < least:
+                    least, nearest[side, p] = apart, other
+    chain = np.empty(count, np.int64)
+    chains = 0
+    for p in range(count):
+        above = nearest[0, p]
+        if above >= 0 and nearest[1, above] == p:
+            chain[p] = chain[above]
+        else:
+            chain[p] = chains
+            chains += 1
+    return chain

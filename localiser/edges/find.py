@@ -19,6 +19,7 @@ from localiser.edges.types import Edges, Segments
 from localiser.edges.views import Image, half_camera, halved
 from localiser.errors import InputError
 from localiser.geometry import Array, Twist
+from localiser.geometry.compiled import compiled
 from localiser.image_files import decode
 from localiser.markers import sides_of_markers
 
@@ -173,26 +174,14 @@ def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma:
     bearing, per_px = ideal.bearings_of_segments(segments.support_px, 1.0)
     middle_e = ideal.upright_from_pixels(segments.support_px.mean(axis=1))[:, 1]
     per_mount = ideal.bearing_jacobians(bearing, middle_e)[1]
-    # Of each pair (S, S): by how much bearings may differ, by noise and by what is left of the mount's error.
-    by_tilt, by_roll = np.moveaxis(per_mount - per_mount[:, None], -1, 0)
-    by_mount = mount.cov[0, 0] * by_tilt**2 + 2 * mount.cov[0, 1] * by_tilt * by_roll + mount.cov[1, 1] * by_roll**2
     variance = (per_px * segments.across_sigma_px) ** 2
-    allowed = gate_sigma * np.sqrt(variance[:, None] + variance + by_mount)
-    low, high = ideal.upright_from_pixels(segments.ends_px)[..., 1].T
-    common, shorter = (
-        np.minimum.outer(high, high) - np.maximum.outer(low, low),
-        np.minimum.outer(high - low, high - low),
+    told_apart = np.stack([per_px * _RESOLVED_PX * np.sqrt(2.0), gate_sigma * per_px * segments.sigma_px], axis=-1)
+    extent = np.ascontiguousarray(ideal.upright_from_pixels(segments.ends_px)[..., 1])
+    # Sorting in the loop would take longer to compile than all of it.
+    order, bearing = np.argsort(variance, kind="stable"), bearing + per_mount @ mount.mean
+    return compiled(same_edge_loop)(
+        bearing, order, per_mount, mount.cov, variance, told_apart, extent, segments.polarity, gate_sigma
     )
-    scatter = gate_sigma * per_px * segments.sigma_px
-    told_apart = np.maximum(per_px * _RESOLVED_PX * np.sqrt(2.0), np.hypot.outer(scatter, scatter))
-    allowed = np.where(common > _BESIDE_SHARE * shorter, np.minimum(allowed, told_apart), allowed)
-    bearing = bearing + per_mount @ mount.mean
-    is_same = np.equal.outer(segments.polarity, segments.polarity) & (np.abs(bearing - bearing[:, None]) <= allowed)
-    edge = np.full(len(segments), -1)
-    for first in np.argsort(variance, kind="stable"):
-        if edge[first] < 0:
-            edge[is_same[first] & (edge < 0)] = edge.max() + 1
-    return edge
 
 
 # -- how an image is exposed ------------------------------------------------------------------------------------------
@@ -224,3 +213,42 @@ def light_of(image: Image | bytes) -> Light:
     """Return how an image (H, W) or (H, W, 3), uint8, or as a file, is exposed, at an eighth of its size."""
     some = np.asarray(decode(image, cv2.IMREAD_REDUCED_GRAYSCALE_8)) if isinstance(image, bytes) else image[::8, ::8]
     return Light(float(np.percentile(some, 95)), float((some >= SATURATED_GREY).mean()))
+
+
+def same_edge_loop(
+    bearing: Array,
+    order: NDArray[np.int64],
+    per_mount: Array,
+    mount_cov: Array,
+    variance: Array,
+    told_apart: Array,
+    extent: Array,
+    polarity: NDArray[np.int8],
+    gate_sigma: float,
+) -> NDArray[np.int64]:
+    """Return the edge (S,) of each segment: `same_edge`. order: (S,) from the most certain segment to the least.
+
+    told_apart: (S, 2) least difference that can be told apart, and by scatter. extent: (S, 2) lowest and highest e.
+    """
+    count = len(bearing)
+    edge = np.full(count, -1, np.int64)
+    edges = 0
+    for first in order:
+        if edge[first] >= 0:
+            continue
+        for other in range(count):
+            if edge[other] >= 0 or polarity[other] != polarity[first]:
+                continue
+            by_tilt, by_roll = per_mount[other] - per_mount[first]
+            by_mount = mount_cov[0, 0] * by_tilt**2 + 2 * mount_cov[0, 1] * by_tilt * by_roll
+            by_mount += mount_cov[1, 1] * by_roll**2
+            allowed = gate_sigma * np.sqrt(variance[first] + variance[other] + by_mount)
+            common = min(extent[first, 1], extent[other, 1]) - max(extent[first, 0], extent[other, 0])
+            shorter = min(extent[first, 1] - extent[first, 0], extent[other, 1] - extent[other, 0])
+            if common > _BESIDE_SHARE * shorter:
+                scatter = np.hypot(told_apart[first, 1], told_apart[other, 1])
+                allowed = min(allowed, max(told_apart[other, 0], scatter))
+            if abs(bearing[other] - bearing[first]) <= allowed:
+                edge[other] = edges
+        edges += 1
+    return edge

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from localiser.edges.columns import ALONG, KERNEL, SCALE_PX, GradientField, Peaks
 from localiser.geometry import Array
+from localiser.geometry.compiled import compiled
 
 Values = Array | NDArray[np.int64]
 
@@ -52,12 +53,7 @@ class Groups:
 
     def line(self, x: Values, y: Array, weight: Array) -> LineFit:
         """Return the weighted least-squares line of each group through (x, y) (K,)."""
-        total = np.maximum(self.sum(weight), 1e-12)
-        mean_x, mean_y = self.sum(weight * x) / total, self.sum(weight * y) / total
-        off_mean = x - mean_x[self.of]
-        spread = self.sum(weight * off_mean * off_mean)
-        slope = self.sum(weight * off_mean * y) / np.maximum(spread, 1e-12)
-        return LineFit(mean_x, mean_y, slope, total, spread)
+        return LineFit(*compiled(line_loop)(self.of, self.count, x.astype(np.float64), y, weight))
 
 
 LEAST_BLOCKS = 3
@@ -105,13 +101,7 @@ class Cells:
 
     def sampled(self, values: NDArray[np.float32], column: Array) -> tuple[Array, Array, Array]:
         """Return a field's height, steepness and negative curvature along its row at columns (K,), as at a peak."""
-        whole = column.clip(1, values.shape[1] - 3).astype(np.int64)
-        share = (column - whole).clip(0, 1)
-        around = values[self.row, whole + np.arange(-1, 3)[:, None]] * self.polarity[self.groups.of].astype(np.float64)
-        before, here, there, after = around
-        height = here + share * (there - here)
-        steepness = (there - before + share * (after - here - there + before)) / 2
-        return height, steepness, 2 * here - before - there + share * (3 * (there - here) + before - after)
+        return compiled(samples_loop)(values, self.row, column, self.polarity[self.groups.of])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,3 +251,40 @@ def _width(slope: Array, height: Array, curvature: Array, cells: Cells) -> tuple
         width_squared = np.maximum(np.cbrt(squared**2 * width_squared) - leaning, _LEAST_WIDTH_PX**2)
     width = np.sqrt(width_squared)
     return width, width / 2 * _CURVATURE_SIGMA / (curved * np.sqrt(cells.blocks))
+
+
+def samples_loop(
+    values: NDArray[np.float32], row: NDArray[np.int64], column: Array, sign: NDArray[np.int8]
+) -> tuple[Array, Array, Array]:
+    """Return height, steepness and negative curvature (K,) of values (B, W) along their row, at places (K,)."""
+    count, width = len(row), values.shape[1]
+    height, steepness, curvature = np.empty(count), np.empty(count), np.empty(count)
+    for k in range(count):
+        whole = min(max(int(column[k]), 1), width - 3)
+        share = min(max(column[k] - whole, 0.0), 1.0)
+        s = float(sign[k])
+        before, here = s * values[row[k], whole - 1], s * values[row[k], whole]
+        there, after = s * values[row[k], whole + 1], s * values[row[k], whole + 2]
+        height[k] = here + share * (there - here)
+        steepness[k] = (there - before + share * (after - here - there + before)) / 2
+        curvature[k] = 2 * here - before - there + share * (3 * (there - here) + before - after)
+    return height, steepness, curvature
+
+
+def line_loop(
+    of: NDArray[np.int64], count: int, x: Array, y: Array, weight: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return mean x, mean y, slope, total weight and spread of x (G,) of values (K,) in groups: `Groups.line`."""
+    mean_x, mean_y, total = np.zeros(count), np.zeros(count), np.zeros(count)
+    for k in range(len(of)):
+        total[of[k]] += weight[k]
+        mean_x[of[k]] += weight[k] * x[k]
+        mean_y[of[k]] += weight[k] * y[k]
+    total = np.maximum(total, 1e-12)
+    mean_x, mean_y = mean_x / total, mean_y / total
+    spread, slope = np.zeros(count), np.zeros(count)
+    for k in range(len(of)):
+        from_mean = weight[k] * (x[k] - mean_x[of[k]])
+        spread[of[k]] += from_mean * (x[k] - mean_x[of[k]])
+        slope[of[k]] += from_mean * y[k]
+    return mean_x, mean_y, slope / np.maximum(spread, 1e-12), total, spread
