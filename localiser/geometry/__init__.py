@@ -13,7 +13,6 @@ from localiser.geometry.poses import (
     cos_sin,
     finite_numbers,
     forward,
-    interpolate_pose,
     map_from_robot,
     pose_from_ros,
     right,

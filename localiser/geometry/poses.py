@@ -105,12 +105,6 @@ def between(start: ArrayLike, end: ArrayLike) -> Array:
     return np.stack([cos * dx - sin * dz, sin * dx + cos * dz, turn], axis=-1)
 
 
-def interpolate_pose(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> Array:
-    """Return the poses (..., 3) at fractions (...) of the way from `start` to `end` (..., 3), along arcs."""
-    motion = between(start, end)
-    return compose(start, arc_motion(arc_log(motion), motion[..., 2] * np.asarray(fraction), fraction))
-
-
 def arc_log(motion: Array) -> Array:
     """Return the constant velocity (..., 2), right and backward, that takes one unit of time for `motion` (..., 3)."""
     half, x, z = motion[..., 2] / 2, motion[..., 0], motion[..., 1]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from localiser.geometry.poses import Array, arc_log, between, compose, interpolate_pose, wrap_angle
+from localiser.geometry.poses import Array, arc_log, arc_motion, between, compose, wrap_angle
 
 FASTEST_M_S, FASTEST_RAD_S = 10.0, 20.0  # faster than any robot in a building
 LEAST_JUMP_M, LEAST_JUMP_RAD = 0.3, 0.3  # below it may be noise of poses that follow each other at once
@@ -39,7 +39,9 @@ class Trajectory:
         after = np.clip(np.searchsorted(self.t_ns, times, side="left"), 1, count - 1)
         begin, end = self.t_ns[after - 1], self.t_ns[after]
         fraction = np.clip((times - begin) / (end - begin), 0.0, 1.0)
-        return Trajectory(times, interpolate_pose(self.poses[after - 1], self.poses[after], fraction))
+        motion = between(self.poses[after - 1], self.poses[after])
+        passed = arc_motion(arc_log(motion), motion[:, 2] * fraction, fraction)
+        return Trajectory(times, compose(self.poses[after - 1], passed))
 
 
 def bridged(odometry: Trajectory) -> tuple[Trajectory, NDArray[np.int64]]:

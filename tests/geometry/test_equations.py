@@ -114,13 +114,14 @@ def drive(pose, velocity, turn_rate, duration, steps=2000):
 def test_interpolation_follows_the_path_of_constant_velocity(start, velocity, turn_rate, fraction):
     end = drive(start, velocity, turn_rate, 1.0)
     expected = drive(start, velocity, turn_rate, fraction)
-    assert_same_pose(g.interpolate_pose(start, end, fraction), expected, atol=2e-6)
+    path = g.Trajectory(np.array([0, 10**12]), np.array([start, end]))
+    assert_same_pose(path.at(round(1e12 * fraction)), expected, atol=2e-6)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-12, 1e-9, 2e-9, 1e-6])
 def test_interpolation_of_nearly_straight_motion_is_the_chord(turn):
-    found = g.interpolate_pose([0, 0, 0], [0.2, -1.0, turn], 0.25)
-    np.testing.assert_allclose(found, [0.05, -0.25, turn / 4], atol=1e-6)
+    path = g.Trajectory(np.array([0, 4]), np.array([[0, 0, 0], [0.2, -1.0, turn]]))
+    np.testing.assert_allclose(path.at(1), [0.05, -0.25, turn / 4], atol=1e-6)
 
 
 def test_trajectory_interpolates_between_poses_and_holds_the_ends():
