@@ -103,7 +103,7 @@ class Mcl:
         """Return the same in which edges alone tell how the robot moved. Raises InputError without a camera."""
         if self.odometer is None:
             raise InputError("expected a camera, found none: edges alone tell no motion without one", field="camera")
-        parameters = replace(self.odometer.parameters, source="vision")
+        parameters = replace(self.odometer.parameters, source="vision", sideways_m_s=np.inf)
         return replace(self, odometer=replace(self.odometer, parameters=parameters))
 
     def moved(self, cloud: Particles, moves: list[Increment], rng: np.random.Generator) -> Particles:

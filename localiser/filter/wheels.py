@@ -32,10 +32,8 @@ from localiser.visual_odometry import (
     TwoImages,
     VisualOdometryParameters,
     increment_of,
-    likely_twists,
+    likely_motions,
     mixture,
-    motion_gaussian,
-    twist_gaussian,
     with_scale,
 )
 
@@ -48,7 +46,6 @@ TURN_SIGMA_RAD = np.radians(1.0)  # of a turn that edges tell by their votes
 MOST_TOLD = 4.0  # log-ratio of one image: a person who walks by moves most of its edges, whatever the wheels do
 DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
 SUSPECT = -4.0  # log-ratio from which on edges are followed, which takes longer
-CROSSED = 0.05  # part of the images whose edges are no more where they were than any are
 ASTRAY = 0.05  # part of the motions by edges that are off by more than they claim
 LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])  # of any motion that is compared with edges, which are never exact
 
@@ -69,32 +66,31 @@ class Evidence:
     by_last_image: Callable[[Increment], float]
 
     def turned(self, prior: Gaussian) -> tuple[Increment, float]:
-        """Return a motion whose turn the edges tell, and the log of how well the prior twist foresaw that turn."""
+        """Return a motion whose turn the edges tell, and the log of how well the prior foresaw that turn."""
         images = TwoImages.of(self.before, self.after, self.odometer.camera)
-        likely = likely_twists(images, prior) if len(self.before) and len(self.after) else []
+        likely = likely_motions(images, prior) if len(self.before) and len(self.after) else []
         if not likely:
-            return increment_of(motion_gaussian(prior)), 0.0
+            return increment_of(prior), 0.0
         miss_rad, var = likely[0][2] - prior.mean[2], prior.cov[2, 2]
         kept = min(TURN_SIGMA_RAD**2 / var, 1.0)
         scale = np.array([1.0, 1.0, kept**0.5])
-        twist = Gaussian(np.array([*prior.mean[:2], likely[0][2]]), prior.cov * np.outer(scale, scale))
+        told = Gaussian(np.array([*prior.mean[:2], likely[0][2]]), prior.cov * np.outer(scale, scale))
         log_ratio = min(0.5 * float(np.log(kept) - miss_rad**2 / var), 0.0)
-        return increment_of(motion_gaussian(twist)), log_ratio
+        return increment_of(told), log_ratio
 
     def weighed(self, pace: Gaussian, wheels: Gaussian, by_map: float, by_last: float) -> float:
         """Return log p(image | it went on at its pace) / p(image | the wheels are right), to the power `PACE_POWER`.
 
-        pace, wheels: twists. by_map, by_last: of the motion of the wheels. Both motions turn as the edges tell, so that
-        none wins because it knows less of its turn.
+        pace, wheels: motions. by_map, by_last: of the motion of the wheels. Both turn as the edges tell, so that none
+        wins because it knows less of its turn.
         """
         (paced, log_paced), (held, log_held) = self.turned(pace), self.turned(wheels)
-        last = crossed(self.by_last_image(paced)) + log_paced
-        last -= max(crossed(self.by_last_image(held)) + log_held, by_last)
+        last = self.by_last_image(paced) + log_paced - max(self.by_last_image(held) + log_held, by_last)
         return min(PACE_POWER * (self.by_map(paced) - by_map + last), MOST_TOLD)
 
     def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
-        """Return the motion by edges alone, of a robot that had this twist per second."""
-        return self.odometer.motion(self.before, self.after, seconds, pace, steers=False)[0]
+        """Return the motion by edges alone, of a robot that had this motion per second."""
+        return self.odometer.motion(self.before, self.after, seconds, pace)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +99,7 @@ class Wheels:
 
     wrong: probability that they were wrong at the last image. usual: (2,) mean log-likelihood of images whose motion
     they told: by the map, and by the image before. pose: (3,) estimate at the last image, None where none was tracked.
-    pace: twist per second, None where not known. fit: whether the last image fitted where the wheels said. The pace is
+    pace: motion per second, None where not known. fit: whether the last image fitted where the wheels said. The pace is
     the estimate's while images fit; where one does not, the robot is expected to go on at the pace from before.
     """
 
@@ -132,17 +128,17 @@ class Wheels:
         increment, cov: what the wheels say, and its covariance (3, 3); fit: what `evidence` says of it, by the map and
         by the last image. seconds: since the last image.
         """
-        right = np.array([fit[0], crossed(fit[1])])
+        right = np.array(fit)
         fits = (right >= UNUSUAL * self.usual).all()
         usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * right
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
             return replace(self, wrong=0.0, usual=usual, fit=True), None
-        expected = parameters.twist(self.pace, seconds)
-        wheels_say = twist_gaussian(Gaussian(increment.mean, cov + np.diag(LEAST_SIGMA**2)))
-        log_ratio, seen = evidence.weighed(expected, wheels_say, *right.tolist()), None
+        expected = parameters.expected(self.pace, seconds)
+        wheels_say = Gaussian(increment.mean, cov + np.diag(LEAST_SIGMA**2))
+        log_ratio, seen = evidence.weighed(expected, wheels_say, *fit), None
         if log_ratio > SUSPECT or self.are_wrong:
             seen = with_scale(evidence.followed(self.pace, seconds), walks=False)
-            log_ratio += contradicts(increment.mean, cov, seen, parameters.twist(None, seconds).cov)
+            log_ratio += contradicts(increment.mean, cov, seen, parameters.expected(None, seconds).cov)
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
         log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + log_ratio, -50.0, 50.0))
         wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < SUSPECT)
@@ -161,13 +157,8 @@ class Wheels:
             return replace(self, pose=None if estimate is None else estimate.pose, pace=None)
         if not (self.fit or self.are_wrong):
             return replace(self, pose=estimate.pose)
-        twist = between(self.pose, estimate.pose) / seconds
-        return replace(self, pose=estimate.pose, pace=Gaussian(twist, estimate.pose_cov / seconds**2))
-
-
-def crossed(log_density: float) -> float:
-    """Return the log-density of edges by the last image, as some follow from none: a person walks by, or between."""
-    return float(np.logaddexp(np.log1p(-CROSSED) + log_density, np.log(CROSSED)))
+        pace = between(self.pose, estimate.pose) / seconds
+        return replace(self, pose=estimate.pose, pace=Gaussian(pace, estimate.pose_cov / seconds**2))
 
 
 def contradicts(wheels: Array, cov: Array, seen: Gaussian, any_cov: Array) -> float:

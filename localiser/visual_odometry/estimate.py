@@ -4,9 +4,6 @@ The errors of edges of one thing are not independent: all edges of a poster end 
 moves all of its edges. A covariance that treats them as independent is far too small. So the motion is estimated again
 without the edges of each group in turn. The covariance is at least the scatter of these results (the delete-a-group
 jackknife [Efron, Tibshirani 1993, chapter 11]). It is large where everything depends on one group.
-
-Motions are sought as twists: the constant velocity (right, backward, turn) that makes a motion in one unit of time. A
-robot that steers goes along arcs, so that its sideways velocity is 0 although the chord of its way points sideways.
 """
 
 from __future__ import annotations
@@ -17,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, arc_log, wrap_angle
+from localiser.geometry import Array, wrap_angle
 from localiser.particles import normalised
 from localiser.visual_odometry.two_images import TwoImages
 
@@ -32,7 +29,7 @@ _PEAKS = 4
 _HANGING_SHARE = 0.3
 
 
-# -- motions and twists, normally distributed -------------------------------------------------------------------------
+# -- motions, normally distributed ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,32 +67,11 @@ def at_least(cov: Array, other: Array) -> Array:
     return np.asarray(grown @ grown.T)
 
 
-def _moved(twist: Array) -> tuple[Array, Array]:
-    """Return the motion (3,) that a twist (3,) makes in its unit of time, and ∂motion/∂twist (3, 3)."""
-    from localiser.visual_odometry import twist_kernel as kernel
-
-    x, z, jac = kernel.camera_moved(twist, np.zeros(5))
-    return np.array([x, z, twist[2]]), np.vstack([jac, [0.0, 0.0, 1.0]])
-
-
-def motion_gaussian(twist: Gaussian) -> Gaussian:
-    """Return the motion, to first order, of a twist that is known so well."""
-    motion, jac = _moved(twist.mean)
-    return Gaussian(motion, jac @ twist.cov @ jac.T)
-
-
-def twist_gaussian(motion: Gaussian) -> Gaussian:
-    """Return the twist, to first order, of a motion that is known so well."""
-    twist = np.append(arc_log(motion.mean), motion.mean[2])
-    jac = np.linalg.inv(_moved(twist)[1])
-    return Gaussian(twist, jac @ motion.cov @ jac.T)
-
-
 # -- starts -----------------------------------------------------------------------------------------------------------
 
 
-def likely_twists(images: TwoImages, prior: Gaussian) -> list[Array]:
-    """Return up to `_PEAKS` twists (3,) that most pairs agree on, of turns apart from one another, best first.
+def likely_motions(images: TwoImages, prior: Gaussian) -> list[Array]:
+    """Return up to `_PEAKS` motions (3,) that most pairs agree on, of turns apart from one another, best first.
 
     A Hough transform: for a coarse grid of translations, among those that the prior allows, each pair votes for its
     change of bearing minus the parallax, blurred by the uncertainty of its range and of the grid.
@@ -133,13 +109,13 @@ def likely_twists(images: TwoImages, prior: Gaussian) -> list[Array]:
 class Followed:
     """How the robot moved, by the edges of two images.
 
-    twist: of the motion, right (m), backward (m), turn (rad) in the robot frame of the first.
+    motion: in the robot frame of the first.
     chosen: (M,) indices of the pairs of edges that were followed.
     log_evidence: of how well the images are explained, by Laplace's approximation.
     has_feet: whether any lower end was taken for a foot.
     """
 
-    twist: Gaussian
+    motion: Gaussian
     chosen: NDArray[np.int64]
     log_evidence: float
     has_feet: bool = True
@@ -148,8 +124,8 @@ class Followed:
 def follow(images: TwoImages, starts: Sequence[Array], priors: Sequence[tuple[Gaussian, float]]) -> Followed:
     """Return the motion between two images.
 
-    starts: twists (3,) to begin at, the best first. priors: what may be believed of the twist, and the logarithm of how
-    often that is right. Each explains the edges more or less well, and Bayes' rule weighs them by that. Where
+    starts: motions (3,) to begin at, the best first. priors: what may be believed of it, and the logarithm of how often
+    that is right. Each explains the edges more or less well, and Bayes' rule weighs them by that. Where
     contradicting motions explain them alike, the covariance reaches from the one to the other [Bar-Shalom, Li,
     Kirubarajan 2001, section 1.4.16]: contradictions are never averaged into something certain, and the map decides.
     """
@@ -160,34 +136,34 @@ def follow(images: TwoImages, starts: Sequence[Array], priors: Sequence[tuple[Ga
         tried = [nothing]
         if len(images.pairs) and len(starts):
             standing = _distinct(_refined(images, nothing, start, True, every) for start in starts)
-            again = standing[0].twist.mean, starts[0]
+            again = standing[0].motion.mean, starts[0]
             tried += standing + _distinct(_refined(images, nothing, start, False, every) for start in again)
         found += [(nothing, each) for each in tried]
     nothing, best = max(found, key=lambda pair: pair[1].log_evidence)
     weight = normalised(np.array([each.log_evidence for _, each in found]))
-    whole = mixture([each.twist for _, each in found], weight)
-    # What the twist changes by when one group of edges is left out.
+    whole = mixture([each.motion for _, each in found], weight)
+    # What the motion changes by when one group of edges is left out.
     group = np.full(len(images.pairs), -1)
     group[best.chosen] = images.groups(best.chosen)
     count = int(group.max(initial=-1)) + 1
     change = np.zeros((count, 3))
     for left_out in range(count):
         usable = (group >= 0) & (group != left_out)
-        left = _refined(images, nothing, best.twist.mean, best.has_feet, usable)
-        change[left_out] = left.twist.mean - best.twist.mean
+        left = _refined(images, nothing, best.motion.mean, best.has_feet, usable)
+        change[left_out] = left.motion.mean - best.motion.mean
     fragility = change.T @ change * max(count - 1, 1) / max(count, 1)
-    return replace(best, twist=Gaussian(whole.mean, at_least(whole.cov, fragility)))
+    return replace(best, motion=Gaussian(whole.mean, at_least(whole.cov, fragility)))
 
 
 def _refined(images: TwoImages, nothing: Followed, start: Array, on_floor: bool, usable: NDArray[np.bool_]) -> Followed:
-    """Return the motion found from the twist `start` (3,).
+    """Return the motion found from the motion `start` (3,).
 
-    nothing: what is believed where no edge is followed; its twist is the prior. on_floor: whether lower ends may be
+    nothing: what is believed where no edge is followed; its motion is the prior. on_floor: whether lower ends may be
     feet at all. usable: (P,) whether a pair is.
     """
     from localiser.visual_odometry import twist_kernel as kernel
 
-    prior = nothing.twist
+    prior = nothing.motion
     information: Array = np.asarray(np.linalg.inv(prior.cov))
     mean, cov, chosen, log_likelihood = kernel.refine(images, usable, prior.mean, information, on_floor, start)
     if len(chosen) == 0:
@@ -204,7 +180,7 @@ def _distinct(followed: Iterable[Followed]) -> list[Followed]:
     """Return those that are not the same motion found once more, from another start; the best first."""
     kept: list[Followed] = []
     for new in sorted(followed, key=lambda new: -new.log_evidence):
-        sigma = np.sqrt(np.diag(new.twist.cov))
-        if all((np.abs(new.twist.mean - old.twist.mean) > 0.5 * sigma).any() for old in kept):
+        sigma = np.sqrt(np.diag(new.motion.cov))
+        if all((np.abs(new.motion.mean - old.motion.mean) > 0.5 * sigma).any() for old in kept):
             kept.append(new)
     return kept

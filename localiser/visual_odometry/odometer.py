@@ -3,36 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Increment
-from localiser.visual_odometry.estimate import Gaussian, follow, likely_twists, motion_gaussian
+from localiser.visual_odometry.estimate import Gaussian, follow, likely_motions
 from localiser.visual_odometry.two_images import TwoImages
 
 LONGEST_S = 600.0
-
-
-def _not_both(source: Any) -> Any:
-    if source == "both":
-        raise ValueError("`both` is gone: edges check the wheels anyway; expected 'wheel' or 'vision'")
-    return source
-
-
-Source = Annotated[Literal["wheel", "vision"], BeforeValidator(_not_both)]
 
 
 @dataclass(frozen=True, slots=True)
 class VisualOdometryParameters:
     """Where increments come from, and how a robot may move."""
 
-    source: Annotated[Source, Field(description="what says how the robot moved: its wheels, or its camera alone")] = (
-        "wheel"
-    )
+    source: Annotated[
+        Literal["wheel", "vision"], Field(description="what says how the robot moved: its wheels, or its camera alone")
+    ] = "wheel"
     speed_m_s: Annotated[
         float,
         Field(gt=0, le=20, description="speed of the robot in any direction, as far as vision knows (m/s, 1 sigma)"),
@@ -53,8 +44,8 @@ class VisualOdometryParameters:
         float, Field(gt=0, lt=0.5, description="share of images at which wheels begin to slip beyond their noise")
     ] = 1e-3
 
-    def twist(self, pace: Gaussian | None, seconds: float) -> Gaussian:
-        """Return what is known of the twist over `seconds` from the pace until then, a twist per second.
+    def expected(self, pace: Gaussian | None, seconds: float) -> Gaussian:
+        """Return what is known of the motion over `seconds` from the pace until then, a motion per second.
 
         It keeps that pace for a while and strays from it (an Ornstein-Uhlenbeck process). After `LONGEST_S` a robot can
         be anywhere in a building; no more time makes it less certain.
@@ -90,25 +81,29 @@ class Odometer:
         self.motion(one, one, 1.0, None)
 
     def motion(
-        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None, *, steers: bool = True
+        self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None
     ) -> tuple[Gaussian, Gaussian]:
         """Return the motion over `seconds` as edges say, without the error of their scale, and the pace from then on.
 
-        before: the edges of the last image, None when there was none. pace: twist per second at the last image, None
-        when not known. steers: whether the robot hardly ever moves sideways. What wheels are judged by must not take
-        that for granted: where edges do not tell, the prior would speak against every robot that walks or flies.
+        before: the edges of the last image, None when there was none. pace: motion per second at the last image, None
+        when not known. Only a robot without wheels is taken to steer: where edges do not tell, that would speak against
+        the wheels of every robot that walks or flies.
         """
         images = TwoImages.of(Edges.none() if before is None else before, after, self.camera)
-        prior = self.parameters.twist(None if before is None else pace, seconds)
+        prior = self.parameters.expected(None if before is None else pace, seconds)
         share = self.parameters.sidle_share
         priors = [(prior, float(np.log(share)))]
-        if steers:
-            # The motion to the right is known to be 0, give or take this.
-            gain = prior.cov[:, 0] / (prior.cov[0, 0] + (self.parameters.sideways_m_s * seconds) ** 2)
-            straight = Gaussian(prior.mean - gain * prior.mean[0], prior.cov - np.outer(gain, prior.cov[0]))
+        if self.parameters.source == "vision":
+            # Along an arc it ends to the right by half of its turn times the way back, give or take this.
+            right_m, back_m, turn = prior.mean
+            of_arc = np.array([1.0, -0.5 * turn, -0.5 * back_m])
+            across = prior.cov @ of_arc
+            gain = across / (of_arc @ across + (self.parameters.sideways_m_s * seconds) ** 2)
+            sideways_m = right_m - 0.5 * turn * back_m
+            straight = Gaussian(prior.mean - gain * sideways_m, prior.cov - np.outer(gain, across))
             priors.insert(0, (straight, float(np.log1p(-share))))
-        twist = follow(images, likely_twists(images, prior), priors).twist
-        return motion_gaussian(twist), Gaussian(twist.mean / seconds, twist.cov / seconds**2)
+        motion = follow(images, likely_motions(images, prior), priors).motion
+        return motion, Gaussian(motion.mean / seconds, motion.cov / seconds**2)
 
 
 def with_scale(motion: Gaussian, *, walks: bool) -> Gaussian:

@@ -8,7 +8,7 @@ Inverse, because the foot of an edge is seen at a depression whose tangent is h 
 because ρ = 0 is a far edge like any other, which shows the turn and nothing else. With c = 0 that is [Taylor06] eq. 13,
 with no turn and c along the axis it is eq. 9-11.
 
-E edges in the first image, F in the second, P pairs of them, M chosen, K common errors, U = 3 + K + 1 unknowns: twist,
+E edges in the first image, F in the second, P pairs of them, M chosen, K common errors, U = 3 + K + 1 unknowns: motion,
 common errors, typical inverse range.
 """
 
@@ -35,28 +35,20 @@ _FAR_SIGMAS, _FAR_RAD = 5.0, np.radians(0.3)  # beyond which a pair is none: of 
 
 
 @compiled
-def camera_moved(twist: Array, mount: Array) -> tuple[float, float, Array]:
-    """Return where a camera at `mount` gets to, x and z in its own frame, and ∂(x, z)/∂twist (2, 3).
+def camera_moved(motion: Array, mount: Array) -> tuple[float, float, Array]:
+    """Return where a camera at `mount` gets to, x and z in its own frame, and ∂(x, z)/∂motion (2, 3).
 
-    mount: (5,) right, backward, yaw of the camera on the robot before; how far it moves on the robot until the second
-    image, right and backward in the robot frame. The robot moves by ∫ R(ψ t) dt (right, backward) over the unit of
-    time, an arc. As complex numbers x + i z, a turn by ψ is a factor of exp(-i ψ).
+    motion: (3,) of the robot. mount: (5,) right, backward, yaw of the camera on the robot before; how far it moves on
+    the robot until the second image, right and backward in the robot frame. As complex numbers x + i z, a turn by ψ is
+    a factor of exp(-i ψ).
     """
-    turn = twist[2]
-    turned = np.exp(-1j * turn)
-    if abs(turn) < 1e-4:
-        arc, by_turn = 1.0 - 0.5j * turn - turn**2 / 6.0, -0.5j - turn / 3.0 + 0.125j * turn**2
-    else:
-        arc = (1.0 - turned) / (1j * turn)
-        by_turn = (turned - arc) / turn
-    velocity, place, moved = complex(twist[0], twist[1]), complex(mount[0], mount[1]), complex(mount[3], mount[4])
-    to_camera = np.exp(1j * mount[2])
-    camera = to_camera * (velocity * arc + (turned - 1.0) * place + turned * moved)
-    by_turn = to_camera * (velocity * by_turn - 1j * turned * (place + moved))
-    arc *= to_camera
+    place, moved = complex(mount[0], mount[1]), complex(mount[3], mount[4])
+    turned, to_camera = np.exp(-1j * motion[2]), np.exp(1j * mount[2])
+    camera = to_camera * (complex(motion[0], motion[1]) + (turned - 1.0) * place + turned * moved)
+    by_turn = -1j * to_camera * turned * (place + moved)
     jac = np.empty((2, 3))
-    jac[0, 0], jac[0, 1], jac[0, 2] = arc.real, -arc.imag, by_turn.real
-    jac[1, 0], jac[1, 1], jac[1, 2] = arc.imag, arc.real, by_turn.imag
+    jac[0, 0], jac[0, 1], jac[0, 2] = to_camera.real, -to_camera.imag, by_turn.real
+    jac[1, 0], jac[1, 1], jac[1, 2] = to_camera.imag, to_camera.real, by_turn.imag
     return camera.real, camera.imag, jac
 
 
@@ -70,9 +62,9 @@ def seen_from(bearing: float, inverse: float, x: float, z: float, turn: float) -
 
 @part
 def _seen_with_slopes(
-    bearing: float, inverse: float, x: float, z: float, turn: float, by_twist: Array, slopes: Array
+    bearing: float, inverse: float, x: float, z: float, turn: float, by_motion: Array, slopes: Array
 ) -> tuple[float, float]:
-    """Return bearing and inverse range in the second image, and write their derivatives (2, 5) by b, ρ and twist."""
+    """Return bearing and inverse range in the second image, and write their derivatives (2, 5) by b, ρ and motion."""
     seen, right, back, distance = seen_from(bearing, inverse, x, z, turn)
     square, sin, cos = distance * distance, np.sin(bearing), np.cos(bearing)
     for row in range(2):
@@ -83,7 +75,7 @@ def _seen_with_slopes(
             dx, dz = -right * inverse / (square * distance), -back * inverse / (square * distance)
         slopes[row, 0], slopes[row, 1] = dx * cos + dz * sin, -(dx * x + dz * z)
         for k in range(3):
-            slopes[row, 2 + k] = -inverse * (dx * by_twist[0, k] + dz * by_twist[1, k])
+            slopes[row, 2 + k] = -inverse * (dx * by_motion[0, k] + dz * by_motion[1, k])
     slopes[0, 4] += 1.0
     slopes[1, 1] += 1.0 / distance
     return seen, inverse / distance
@@ -153,7 +145,7 @@ def pair_odds(images: TwoImages, usable: NDArray[np.bool_], unknown: Array, cov:
     """
     one, two, pairs = images.one, images.two, images.pairs
     turn, wrong, wrong_cov = unknown[2], unknown[3:], cov[3:, 3:]
-    x, z, by_twist = camera_moved(unknown, images.mount)
+    x, z, by_motion = camera_moved(unknown, images.mount)
     sin, cos = np.sin(turn), np.cos(turn)
     back_x, back_z = -(cos * x - sin * z), -(sin * x + cos * z)
     result, slopes = np.zeros((len(pairs), 2)), np.empty((2, 5))
@@ -194,7 +186,7 @@ def pair_odds(images: TwoImages, usable: NDArray[np.bool_], unknown: Array, cov:
                 inverse = TYPICAL_INVERSE_RANGE if np.isnan(foot) else max(TYPICAL_INVERSE_RANGE, foot)
                 # What hangs keeps its height, so that its lower ends agree as well as feet do; the hidden need not.
                 variance, weight = TYPICAL_SPREAD**2, (1.0 - share) * (HUNG_SHARE * agreement + 1.0 - HUNG_SHARE)
-            expected, _ = _seen_with_slopes(one.measured[e, 0], inverse, x, z, turn, by_twist, slopes)
+            expected, _ = _seen_with_slopes(one.measured[e, 0], inverse, x, z, turn, by_motion, slopes)
             variance = slopes[0, 1] ** 2 * variance + _variance(slopes[0, 2:], cov)
             variance += two.sigma[f, 0] ** 2 + (slopes[0, 0] * one.sigma[e, 0]) ** 2
             square = _wrapped(two.measured[f, 0] - expected) ** 2
@@ -259,10 +251,10 @@ def _equations(
     Bearing and inverse range in the first image, the same in the second, and that the inverse range is a typical one.
     An equation is 0 where nothing is measured.
     """
-    x, z, by_twist = moved
+    x, z, by_motion = moved
     rows[:] = 0.0
     rows[0, 0] = rows[1, 1] = rows[4, 1] = 1.0
-    seen, inverse = _seen_with_slopes(edge[0], edge[1], x, z, unknown[2], by_twist, rows[2:4])
+    seen, inverse = _seen_with_slopes(edge[0], edge[1], x, z, unknown[2], by_motion, rows[2:4])
     expected = (edge[0], edge[1], seen, inverse)
     for r in range(4):
         image, e, column = images.one if r < 2 else images.two, images.pairs[p, r // 2], r % 2
@@ -288,7 +280,7 @@ def solve(
 ) -> tuple[Array, Array]:
     """Return the unknowns (U,) that explain the chosen pairs (M,) best, and their covariance (U, U or more).
 
-    weight, floor: (M,) 0 … 1, of a pair, and of its ends being feet. start: (3 or more,) twist, for Gauss-Newton. mean,
+    weight, floor: (M,) 0 … 1, of a pair, and of its ends being feet. start: (3 or more,) motion to begin at. mean,
     information: (U,), (U, U) beforehand.
 
     Unknown are also bearing and inverse range (b, ρ) of every edge. They appear in five equations only (bearing and
@@ -340,11 +332,11 @@ def solve(
 def refine(
     images: TwoImages, usable: NDArray[np.bool_], prior: Array, information: Array, on_floor: bool, start: Array
 ) -> tuple[Array, Array, Indices, Array]:
-    """Return what pairing edges and solving in turns leads to, from a twist `start` (3,).
+    """Return what pairing edges and solving in turns leads to, from a motion `start` (3,).
 
-    Twist (3,), its covariance (3, 3), indices of the pairs chosen (M,), and their log-likelihoods (M,). usable: (P,)
-    whether a pair is. prior, information: mean (3,) and inverse covariance (3, 3) of the twist. on_floor: whether lower
-    ends may be feet.
+    Motion (3,), its covariance (3, 3), indices of the pairs chosen (M,), and their log-likelihoods (M,). usable: (P,)
+    whether a pair is. prior, information: mean (3,) and inverse covariance (3, 3) of it. on_floor: whether lower ends
+    may be feet.
     """
     size = 4 + images.one.common.shape[2]
     mean, whole, unknown, cov = np.zeros(size), np.eye(size), np.zeros(size), np.eye(size)

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,7 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     told, other = known.after(poor, double, 1e-4 * np.eye(3), (2.0, 0.0), parameters, 0.2)
     assert other is None
     told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
-    np.testing.assert_allclose(told.pace.mean, parameters.twist(pace, 0.2).mean / 0.2)
+    np.testing.assert_allclose(told.pace.mean, parameters.expected(pace, 0.2).mean / 0.2)
 
 
 def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
@@ -116,16 +117,17 @@ def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
 def test_the_camera_does_not_take_for_granted_that_a_robot_steers() -> None:
     """Someone who walks sideways past things with no feet in view: edges tell the turn, and no more, of the wheels."""
     parameters, right_m, sigma = VisualOdometryParameters(), 0.1, np.array([2e-3, 1e-2, 2e-3])
-    odometer, move = Odometer(CAMERA, parameters), np.array([right_m, -0.1, 0.02])
+    move = np.array([right_m, -0.1, 0.02])
     rng = np.random.default_rng(0)
     before, after = (edges_from(pose, rng, feet=False) for pose in (np.zeros(3), move))
     pace = Gaussian(np.array([0.0, -0.5, 0.1]), 1e-4 * np.eye(3))
     log_ratio = {}
-    for steers in (True, False):
-        seen = with_scale(odometer.motion(before, after, 0.2, pace, steers=steers)[0], walks=False)
-        log_ratio[steers] = contradicts(move, np.diag(sigma**2), seen, parameters.twist(None, 0.2).cov)
-    assert log_ratio[True] > 2.0
-    assert log_ratio[False] < 0.5
+    for source in ("vision", "wheel"):
+        odometer = Odometer(CAMERA, replace(parameters, source=source))
+        seen = with_scale(odometer.motion(before, after, 0.2, pace)[0], walks=False)
+        log_ratio[source] = contradicts(move, np.diag(sigma**2), seen, parameters.expected(None, 0.2).cov)
+    assert log_ratio["vision"] > 2.0
+    assert log_ratio["wheel"] < 0.5
 
 
 def test_the_scale_of_ranges_is_in_the_covariance_of_a_motion_seen() -> None:

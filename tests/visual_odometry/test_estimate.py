@@ -13,9 +13,7 @@ from small_log import write_edge_log
 from two_views import CAMERA, INVERSE_SIGMA, POINTS, edges_from
 
 from localiser import geometry
-from localiser.config import read_config
 from localiser.edges import Edges
-from localiser.errors import InputError
 from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose
 from localiser.landmarks import LandmarkMap
@@ -26,27 +24,22 @@ from localiser.visual_odometry import (
     TwoImages,
     VisualOdometryParameters,
     increment_of,
-    likely_twists,
+    likely_motions,
     with_scale,
 )
 from localiser.visual_odometry import twist_kernel as loops
-from localiser.visual_odometry.estimate import at_least, follow, mixture, motion_gaussian, twist_gaussian
+from localiser.visual_odometry.estimate import at_least, follow, mixture
 from localiser.visual_odometry.two_images import TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, SeenEdges
 from paper.slopes import depth_from_slopes, lean_from_slope, rotation_from_slopes
 
-ANYTHING = VisualOdometryParameters().twist(None, 0.2)
+ANYTHING = VisualOdometryParameters().expected(None, 0.2)
 
 
 def followed(before: Edges, after: Edges) -> tuple[Gaussian, Array]:
     """Return the motion in 0.2 s of which nothing is known but two images, and the pairs of edges (M, 2)."""
     images = TwoImages.of(before, after, CAMERA)
-    found = follow(images, likely_twists(images, ANYTHING), [(ANYTHING, 0.0)])
-    return motion_gaussian(found.twist), images.pairs[found.chosen]
-
-
-def motion_of(twist: Array) -> Array:
-    """Return the motion (3,) that a twist (3,) makes in its unit of time, as the arc has it."""
-    return geometry.arc_motion(twist[:2], float(twist[2]), 1.0)
+    found = follow(images, likely_motions(images, ANYTHING), [(ANYTHING, 0.0)])
+    return found.motion, images.pairs[found.chosen]
 
 
 motions = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.2, 0.1), st.floats(-0.2, 0.2)).map(np.array)
@@ -54,17 +47,17 @@ motions = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.2, 0.1), st.floats(-0.2
 
 @settings(max_examples=50)  # the first call compiles
 @given(motions, st.floats(-0.5, 0.5), st.floats(0.0, 1.5))
-def test_what_the_moved_camera_sees(twist: Array, bearing: float, inverse: float) -> None:
+def test_what_the_moved_camera_sees(motion: Array, bearing: float, inverse: float) -> None:
     before, moved = CAMERA.robot_from_level, np.array([0.03, -0.1, 0.0])
     mount = np.append(before, moved[:2])
-    expected = geometry.between(before, geometry.compose(motion_of(twist), before + moved))
-    x, z, jac = loops.camera_moved(twist, mount)
+    expected = geometry.between(before, geometry.compose(motion, before + moved))
+    x, z, jac = loops.camera_moved(motion, mount)
     np.testing.assert_allclose([x, z], expected[:2], atol=1e-9)
     step = 1e-6
     for column, change in enumerate(step * np.eye(3)):
-        ends = [np.array(loops.camera_moved(twist + sign * change, mount)[:2]) for sign in (1, -1)]
+        ends = [np.array(loops.camera_moved(motion + sign * change, mount)[:2]) for sign in (1, -1)]
         np.testing.assert_allclose(jac[:, column], (ends[0] - ends[1]) / (2 * step), atol=1e-6)
-    seen, *_, distance = loops.seen_from(bearing, inverse, x, z, twist[2])
+    seen, *_, distance = loops.seen_from(bearing, inverse, x, z, motion[2])
     if inverse > 0.01:
         point = np.array([np.sin(bearing), -np.cos(bearing)]) / inverse
         at = geometry.robot_from_map(expected, point)
@@ -88,17 +81,6 @@ def test_driving_straight_on_is_equation_10_of_the_paper() -> None:
     assert depth_from_slopes(*slopes, -driven_m) == pytest.approx(-ahead_m)
 
 
-@settings(max_examples=50)  # the first call compiles
-@given(motions)
-def test_twists_are_motions_along_arcs(twist: Array) -> None:
-    cov = np.diag([1e-4, 2e-4, 3e-5])
-    motion = motion_gaussian(Gaussian(twist, cov))
-    np.testing.assert_allclose(motion.mean, motion_of(twist), atol=1e-12)
-    there_and_back = twist_gaussian(motion)
-    np.testing.assert_allclose(there_and_back.mean, twist, atol=1e-12)
-    np.testing.assert_allclose(there_and_back.cov, cov, atol=1e-12)
-
-
 def solved(images: TwoImages, weight: Array, floor: Array, start: Array, prior: Gaussian) -> tuple[Array, Array]:
     """Return what least squares make of edges of two images that are in the same order."""
     count, size = len(weight), 4 + images.one.common.shape[2]
@@ -114,11 +96,11 @@ BY_WHEELS = Gaussian(np.array([0.0, -0.096, 0.09]), np.diag([1e-3, 9e-3, 0.01]) 
 
 @pytest.mark.parametrize(("floor", "prior"), [(1.0, ANYTHING), (0.6, ANYTHING), (0.0, BY_WHEELS)])
 def test_least_squares_agrees_with_a_general_solver(floor: float, prior: Gaussian) -> None:
-    """The least sum of squares over twist, common errors, typical range and every edge's own unknowns."""
+    """The least sum of squares over motion, common errors, typical range and every edge's own unknowns."""
     from scipy.optimize import least_squares
 
     rng, true = np.random.default_rng(11), np.array([0.01, -0.1, 0.08])
-    images = TwoImages.of(edges_from(np.zeros(3), rng), edges_from(motion_of(true), rng), CAMERA)
+    images = TwoImages.of(edges_from(np.zeros(3), rng), edges_from(true, rng), CAMERA)
     one, two, mount, uneven = images.one, images.two, images.mount, images.uneven
     count, terms = len(POINTS), one.common.shape[2]
     weight = rng.uniform(0.3, 1.0, count)
@@ -126,12 +108,12 @@ def test_least_squares_agrees_with_a_general_solver(floor: float, prior: Gaussia
     root = np.linalg.cholesky(np.linalg.inv(prior.cov)).T
 
     def cost(unknown: Array) -> Array:
-        twist, wrong, typical = unknown[:3], unknown[3 : 3 + terms], unknown[3 + terms]
+        motion, wrong, typical = unknown[:3], unknown[3 : 3 + terms], unknown[3 + terms]
         bearing, inverse = unknown[4 + terms :].reshape(count, 2).T
-        x, z, _ = loops.camera_moved(twist, mount)
+        x, z, _ = loops.camera_moved(motion, mount)
         d = np.stack([np.sin(bearing) - inverse * x, -np.cos(bearing) - inverse * z])
-        seen = np.arctan2(d[0], -d[1]) + twist[2], inverse / np.hypot(*d)
-        parts = [root @ (twist - prior.mean), wrong, [(typical - TYPICAL_INVERSE_RANGE) / TYPICAL_SPREAD]]
+        seen = np.arctan2(d[0], -d[1]) + motion[2], inverse / np.hypot(*d)
+        parts = [root @ (motion - prior.mean), wrong, [(typical - TYPICAL_INVERSE_RANGE) / TYPICAL_SPREAD]]
         parts.append(np.sqrt(weight) * (inverse - typical) / TYPICAL_SPREAD)
         for frame, expected in ((one, (bearing, inverse)), (two, seen)):
             own = np.sqrt(frame.sigma[:, 1] ** 2 + 2 * (uneven * frame.measured[:, 1]) ** 2)
@@ -384,11 +366,6 @@ def test_wheels_alone_the_default_never_follow_edges(monkeypatch: pytest.MonkeyP
     assert worst_error_m("wheel") > 0.0
     with pytest.raises(AssertionError, match="followed"):
         worst_error_m("vision")
-
-
-def test_both_is_told_to_be_gone() -> None:
-    with pytest.raises(InputError, match=r"increments\.source: `both` is gone: edges check the wheels anyway"):
-        read_config(None, ["increments.source=both"])
 
 
 def test_replay_by_vision(tmp_path: Path, localiser: Localiser) -> None:
