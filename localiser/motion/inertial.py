@@ -32,7 +32,11 @@ def up_of(t_ns: NDArray[np.int64], rate_rad_s: Array, acceleration_m_s2: Array) 
     ROS has it. The covariance is of small turns about the sensor's axes, rad².
     """
     up, cov = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
-    attitude = _first(acceleration_m_s2[: max(np.searchsorted(t_ns, t_ns[0] + _BEGIN_NS), 1)].mean(axis=0))
+    first = acceleration_m_s2[: max(np.searchsorted(t_ns, t_ns[0] + _BEGIN_NS), 1)].mean(axis=0)
+    first /= max(float(np.linalg.norm(first)), 1e-9)
+    side = np.cross(first, np.eye(3)[int(np.abs(first).argmin())])
+    side /= np.linalg.norm(side)
+    attitude = np.array([side, np.cross(first, side), first])  # level from sensor; its heading is any
     bias = np.zeros(3)
     p = np.diag([_ACCELERATING**2] * 3 + [_BIAS_RAD_S**2] * 3)
     for k, t in enumerate(t_ns):
@@ -64,11 +68,3 @@ def _corrected(
     change = gain @ (acceleration / length - up)
     p = (np.eye(6) - gain @ h) @ p
     return attitude @ cv2.Rodrigues(change[:3])[0], bias + change[3:], (p + p.T) / 2
-
-
-def _first(acceleration: Array) -> Array:
-    """Return an attitude (3, 3), level from sensor, whose up is along the acceleration; its heading is any."""
-    up = acceleration / max(float(np.linalg.norm(acceleration)), 1e-9)
-    side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
-    side /= np.linalg.norm(side)
-    return np.array([side, np.cross(up, side), up])
