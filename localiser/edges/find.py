@@ -98,7 +98,7 @@ def _detector_of(parameters: EdgeParameters) -> Detector:
 
 
 def warm_up(camera: Camera, parameters: EdgeParameters) -> None:
-    """Compile the loop, and make the tables of a camera, by finding no edge."""
+    """Compile all loops, and make the tables of a camera, by finding no edge."""
     find_edges(np.zeros((camera.height, camera.width), dtype=np.uint8), camera, parameters)
 
 
