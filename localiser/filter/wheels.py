@@ -88,10 +88,6 @@ class Evidence:
         last = self.by_last_image(paced) + log_paced - max(self.by_last_image(held) + log_held, by_last)
         return min(PACE_POWER * (self.by_map(paced) - by_map + last), MOST_TOLD)
 
-    def followed(self, pace: Gaussian, seconds: float) -> Gaussian:
-        """Return the motion by edges alone, of a robot that had this motion per second."""
-        return self.odometer.motion(self.before, self.after, seconds, pace)[0]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wheels:
@@ -137,7 +133,8 @@ class Wheels:
         wheels_say = Gaussian(increment.mean, cov + np.diag(LEAST_SIGMA**2))
         log_ratio, seen = evidence.weighed(expected, wheels_say, *fit), None
         if log_ratio > SUSPECT or self.are_wrong:
-            seen = with_scale(evidence.followed(self.pace, seconds), walks=False)
+            seen, _ = evidence.odometer.motion(evidence.before, evidence.after, seconds, self.pace)
+            seen = with_scale(seen, walks=False)
             log_ratio += contradicts(increment.mean, cov, seen, parameters.expected(None, seconds).cov)
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
         log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + log_ratio, -50.0, 50.0))
