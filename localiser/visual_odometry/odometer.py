@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from localiser.camera import Camera
 from localiser.edges import Edges
@@ -17,12 +17,20 @@ from localiser.visual_odometry.two_images import TwoImages
 LONGEST_S = 600.0
 
 
+def _not_both(source: Any) -> Any:
+    if source == "both":
+        raise ValueError("`both` is gone: edges check the wheels anyway; expected 'wheel' or 'vision'")
+    return source
+
+
 @dataclass(frozen=True, slots=True)
 class VisualOdometryParameters:
     """Where increments come from, and how a robot may move."""
 
     source: Annotated[
-        Literal["wheel", "vision"], Field(description="what says how the robot moved: its wheels, or its camera alone")
+        Literal["wheel", "vision"],
+        BeforeValidator(_not_both),
+        Field(description="what says how the robot moved: its wheels, or its camera alone"),
     ] = "wheel"
     speed_m_s: Annotated[
         float,

@@ -13,7 +13,9 @@ from small_log import write_edge_log
 from two_views import CAMERA, INVERSE_SIGMA, POINTS, edges_from
 
 from localiser import geometry
+from localiser.config import read_config
 from localiser.edges import Edges
+from localiser.errors import InputError
 from localiser.filter import mcl
 from localiser.geometry import Array, Increment, compose
 from localiser.landmarks import LandmarkMap
@@ -384,3 +386,8 @@ def test_a_log_without_images_cannot_be_followed(tmp_path: Path, localiser: Loca
     )
     assert result.exit_code == 2
     assert "follows edges from image to image" in result.err and "Traceback" not in result.err
+
+
+def test_both_is_told_to_be_gone() -> None:
+    with pytest.raises(InputError, match=r"increments\.source: `both` is gone: edges check the wheels anyway"):
+        read_config(None, ["increments.source=both"])
