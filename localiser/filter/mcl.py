@@ -103,6 +103,8 @@ class Mcl:
         """Return the same in which edges alone tell how the robot moved. Raises InputError without a camera."""
         if self.odometer is None:
             raise InputError("expected a camera, found none: edges alone tell no motion without one", field="camera")
+        if self.odometer.parameters.source == "vision":
+            return self
         parameters = replace(self.odometer.parameters, source="vision", sideways_m_s=np.inf)
         return replace(self, odometer=replace(self.odometer, parameters=parameters))
 
@@ -121,7 +123,7 @@ class FilterState:
     been weighed by any image yet. inliers: the learnt inlier rate. belief: whether the robot is elsewhere, and where.
     attitude: tilt and roll of the camera; None: as stated. height: of the camera. map_error: how far landmarks are from
     where the map has them. seen: the last image. scene: the images that the belief compares the next one with. wheels:
-    whether they are right. pace: twist per second at the last image, where edges alone told the motion. odometry: poses
+    whether they are right. pace: motion per second at the last image, where edges alone told it. odometry: poses
     since then, and the last one before. waiting: sightings that odometry has not reached yet.
     """
 

@@ -102,11 +102,13 @@ class Odometer:
         share = self.parameters.sidle_share
         priors = [(prior, float(np.log(share)))]
         if self.parameters.source == "vision":
-            # Along an arc it ends to the right by half of its turn times the way back, give or take this.
+            # Along an arc it ends to the right by half of its turn times the way back, give or take the speed sideways,
+            # and what the product varies by that is not linear: all of it where no pace is known.
             right_m, back_m, turn = prior.mean
             of_arc = np.array([1.0, -0.5 * turn, -0.5 * back_m])
             across = prior.cov @ of_arc
-            gain = across / (of_arc @ across + (self.parameters.sideways_m_s * seconds) ** 2)
+            bent = 0.25 * (prior.cov[1, 1] * prior.cov[2, 2] + prior.cov[1, 2] ** 2)
+            gain = across / (of_arc @ across + bent + (self.parameters.sideways_m_s * seconds) ** 2)
             sideways_m = right_m - 0.5 * turn * back_m
             straight = Gaussian(prior.mean - gain * sideways_m, prior.cov - np.outer(gain, across))
             priors.insert(0, (straight, float(np.log1p(-share))))
