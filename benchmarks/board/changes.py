@@ -123,6 +123,14 @@ def moved(landmark_map: LandmarkMap, seed: int) -> LandmarkMap:
     return replace(landmark_map, points=points)
 
 
+def half_mapped(drive: Drive) -> Drive:
+    """Return a drive on the map of the half where it begins, and 1 m more: across the median x of its way."""
+    middle = float(np.median(drive.truth[:, 0]))
+    side = 1.0 if drive.truth[0, 0] > middle else -1.0
+    kept = np.flatnonzero(side * (drive.landmark_map.points[:, 0] - middle) > -1.0)
+    return replace(drive, landmark_map=drive.landmark_map.take(kept))
+
+
 def off(landmark_map: LandmarkMap, seed: int, sigma_m: float = 0.03) -> LandmarkMap:
     """Return the map with every landmark off by a draw of this sigma in x and z."""
     rng = np.random.default_rng([seed, 14])

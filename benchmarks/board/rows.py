@@ -15,6 +15,7 @@ from board.run import Drive, Values, figures, run
 from board.worlds import hours_of
 
 MINUTES = 1.5  # of a drive in a simulated building
+HALF_MINUTES = 4.0  # of one that goes from its mapped half to the other and back
 HOUSE_FAULTS_S = (20.0, 33.0, 46.0, 60.0)
 RENDERED = ("corridor", "office", "house", "bookstore")
 SIMULATED = {"shop": "shelves", "chairs": "chairs", "crowd": "crowd", "ring": "ring", "alike": "alike"}
@@ -118,7 +119,7 @@ def _mapped(name: str, change: Callable, seed: int) -> Drive:
 
 def every_row() -> list[Row]:
     """Return all rows, real ones first."""
-    return [*_real(), *_rendered(), *_trust(), *_floors(), *_faults()]
+    return [*_real(), *_rendered(), *_trust(), *_half_maps(), *_floors(), *_faults()]
 
 
 def _real() -> Iterator[Row]:
@@ -183,6 +184,23 @@ def _trust() -> Iterator[Row]:
 
 def _on_other(name: str, other: str, _: int) -> Drive:
     return replace(drive_of(name), landmark_map=drive_of(other).landmark_map)
+
+
+def _half_maps() -> Iterator[Row]:
+    drives = [(kind, (), partial(_half_hours, kind)) for kind in ("floor", "corridors", "chairs")]
+    drives += [(name, (name,), _log(name)) for name in ("house", "bookstore")]
+    needs = ("office_real/odd", *REAL_MAPS["office even"])
+    drives.append(("office_real/odd on office even", needs, on_map("office_real/odd", "office even")))
+    for label, logs, drive in drives:
+        yield Row("half a map", label, logs, partial(tracked, partial(_half_mapped, drive), "truth", "line"))
+
+
+def _half_hours(kind: str, seed: int) -> Drive:
+    return hours_of(kind, seed, HALF_MINUTES)
+
+
+def _half_mapped(drive: Callable[[int], Drive], seed: int) -> Drive:
+    return changes.half_mapped(drive(seed))
 
 
 def _floors() -> Iterator[Row]:

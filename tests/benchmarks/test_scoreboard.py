@@ -213,7 +213,19 @@ def test_titles_are_unique_and_every_situation_has_a_row() -> None:
     every = every_row()
     assert len({row.title for row in every}) == len(every)
     groups = Counter(row.group for row in every)
-    named = {"real", "edges", "rendered", "simulated", "trust", "wrong map", "worn map", "floors", "markers", "faults"}
+    named = {
+        "real",
+        "edges",
+        "rendered",
+        "simulated",
+        "trust",
+        "wrong map",
+        "worn map",
+        "half a map",
+        "floors",
+        "markers",
+        "faults",
+    }
     assert set(groups) == named
     assert every[0].group == "real" and 15 < sum(row.quick for row in every) < 25
 
