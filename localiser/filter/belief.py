@@ -28,7 +28,7 @@ import numpy as np
 
 from localiser import particles
 from localiser.filter.events import SURE, MapWarning, Reason, is_near, near_weight
-from localiser.filter.scene import WHOLLY_NEW, Jump
+from localiser.filter.scene import Jump
 from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
@@ -56,6 +56,8 @@ LIKELY = 0.1  # and its own probability
 PATIENCE = 1.5
 # It explains it where its log-likelihood along the last such metre is above this; where none is in view, above 0.
 SUPPORT_M, MOST_SUPPORT, SUPPORTED = 1.0, 8.0, 2.0
+# Probability of having been carried from which on that counts for nothing; `SURELY_CARRIED` where none is in view.
+SUSPECTED = 0.008
 WON = 50.0  # odds against the particles from which on a place is tracked in their stead
 RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
@@ -172,15 +174,16 @@ class Belief:
         carried = jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
-        log_tracked, log_shown, blind, support, seen_m = 0.0, 0.0, 0.0, 0.0, jump.path_m
+        log_tracked, log_shown, blind, support, seen_m, stays = 0.0, 0.0, 0.0, 0.0, jump.path_m, True
         if found is not None and found.by_rate is not None and found.shown_by_rate is not None:
             detections, log_tracked = _rated(found.before, PLACE_POWER * found.by_rate, detections, novelty)
             shown, log_shown = _rated(found.before, PLACE_POWER * found.shown_by_rate, shown, novelty)
             blind = float(found.before.weight[(found.by_rate == 0.0).all(axis=0)].sum())
+            stays = carried < (SUSPECTED if blind < 0.5 else SURELY_CARRIED)
             seen_m = (1.0 - blind) * jump.path_m
-            support = self.support * float(np.exp(-seen_m / SUPPORT_M)) if jump.log_ratio <= WHOLLY_NEW else 0.0
+            support = self.support * float(np.exp(-seen_m / SUPPORT_M)) if stays else 0.0
         explained = support + log_shown
-        is_explained = jump.log_ratio <= WHOLLY_NEW and explained > SUPPORTED * (1.0 - blind)
+        is_explained = stays and explained > SUPPORTED * (1.0 - blind)
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
             moved = replace(candidates, particles=move.of(candidates.particles))

@@ -23,7 +23,7 @@ from localiser.observation import EarlierFrame, EdgeObservation, Sighting, scene
 SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)
 APART = 0.05  # scenes between the images that are kept, so that a robot that stands still keeps few
 WITH_OLDER = 2  # images a scene back that are compared with: an edge that the last of them missed is in the one before
-WHOLLY_NEW = 5.0  # log-ratio of having been carried from which on images before, and what they told, are of elsewhere
+WHOLLY_NEW = 4.0  # log-ratio of having been carried from which on the images before are of another scene
 # The fraction of edges that continue one of the image before is beta distributed: its mean at first and after a robot
 # was carried, and a + b, as edges of one object come and go together.
 USUAL, CARRIED, CONCENTRATION = 0.8, 0.2, 6.0
