@@ -26,7 +26,7 @@ from localiser.camera import Camera
 from localiser.geometry import MANY, Array, Increment, cos_sin
 from localiser.motion import MotionParameters, Step
 from localiser.observation import Targets
-from localiser.particles import MOST_STAGES, Particles, systematic_resample
+from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
 
 BLIND = 0.1  # fraction of steps drawn from odometry alone, and of particles resampled by what they weighed before
 
@@ -107,6 +107,8 @@ def warm_up() -> None:
     from localiser.filter import optimal_proposal_kernel as kernel
 
     cos_sin(np.zeros(MANY))
+    one = Particles(POSE, np.zeros((3, 1)), np.zeros(1))
+    MotionParameters().predict(one, Increment.from_mean(np.zeros(3)), np.random.default_rng(0))
     for is_slope in (False, True):
         found = kernel.linearised(np.zeros((13, 1)), np.zeros((1, 5)), (0.0, 0.0, 1.0, 0.0), 0.3, is_slope)
     kernel.drawn(found[:6], found[6:9], np.zeros((3, 1)), np.zeros(1, dtype=bool))

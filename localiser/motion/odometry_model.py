@@ -25,6 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from localiser.geometry import Array, Increment, cos_sin, wrap_angle, wrap_half_turn
+from localiser.geometry.compiled import compiled
 from localiser.particles import CAMERA_YAW, Particles, centred
 
 CONSTANT_ERRORS = ("distance_scale", "turn_scale", "veer", "delay", CAMERA_YAW)
@@ -132,11 +133,10 @@ class MotionParameters:
         normal is the step standardised: S^(-½) (step - H m), m being a particle's mean of the constant errors and
         S = H P Hᵀ + noise. Both mean and covariance P of these are updated by it as by a measurement.
         """
+        columns = np.empty_like(particles.columns, order="C")
+        compiled(step_loop)(step.start, step.cos, step.sin, step.expected, step.root, normal, columns)
         gain = particles.constant_error_cov @ step.by_constant_error.T @ step.whitened
-        columns = np.concatenate([np.zeros((3, len(particles))), particles.columns[3:] + gain @ normal])
-        for axis, drawn in zip(step.root.T[..., None], normal, strict=True):
-            columns[:3] += _in_map(axis, step.cos, step.sin) * drawn
-        columns[:3] += step.poses
+        columns[3:] = particles.columns[3:] + gain @ normal
         if CAMERA_YAW in particles.names:
             columns[2] -= columns[particles.names.index(CAMERA_YAW)]
         columns[2] = wrap_angle(columns[2])
@@ -300,3 +300,21 @@ def _with_changed(particles: Particles, change: Array, cov: Array) -> Particles:
     if CAMERA_YAW in particles.names:
         columns[2] = wrap_angle(columns[2] - change[particles.names.index(CAMERA_YAW) - 3])
     return replace(particles, columns=columns, constant_error_cov=cov)
+
+
+def step_loop(start: Array, cos: Array, sin: Array, expected: Array, root: Array, normal: Array, end: Array) -> None:
+    """Write the poses of N particles after a step into the first three rows of `end` (D, N).
+
+    normal: (3, N) standard normal draws, which times `root` (3, 3) are what a step differs from the `expected` one.
+    The rest is as in `Step`.
+    """
+    for n in range(len(cos)):
+        along, left, turn = expected[0, n], expected[1, n], expected[2, n]
+        x, z, turned = 0.0, 0.0, 0.0  # by what is drawn
+        for k in range(3):
+            x += (-sin[n] * root[0, k] - cos[n] * root[1, k]) * normal[k, n]
+            z += (sin[n] * root[1, k] - cos[n] * root[0, k]) * normal[k, n]
+            turned += root[2, k] * normal[k, n]
+        end[0, n] = start[0, n] + (-sin[n] * along - cos[n] * left) + x
+        end[1, n] = start[1, n] + (sin[n] * left - cos[n] * along) + z
+        end[2, n] = start[2, n] + turn + turned

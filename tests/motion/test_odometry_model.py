@@ -207,7 +207,7 @@ def test_moving_takes_little_memory_beside_the_particles() -> None:
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert most < 7 * cloud.columns.nbytes
+    assert most < 6 * cloud.columns.nbytes
 
 
 def swaying(seconds: float, hz: float, bias: float, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
