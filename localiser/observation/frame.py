@@ -220,8 +220,8 @@ def bins_of(angle: Array) -> EdgeBins:
     if len(angle) == 0:
         return np.zeros(1, dtype=np.int64), (0.0, 1.0, 0.0)
     step = max(float(angle[-1] - angle[0]) / (_BINS - 2), 1e-12)
-    first = np.searchsorted(angle, angle[0] + step * np.arange(_BINS))
-    first[-1] = len(angle)
+    bin_of_angle = ((angle - angle[0]) * (1.0 / step)).astype(np.int64)  # by the sum that is done with those looked for
+    first = np.searchsorted(bin_of_angle, np.arange(_BINS))
     return first, (float(angle[0]), 1.0 / step, _BINS - 1.0)
 
 
