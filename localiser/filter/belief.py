@@ -174,16 +174,16 @@ class Belief:
         carried = jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
-        log_tracked, log_shown, blind, support, seen_m, stays = 0.0, 0.0, 0.0, 0.0, jump.path_m, True
+        log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
         if found is not None and found.by_rate is not None and found.shown_by_rate is not None:
             detections, log_tracked = _rated(found.before, PLACE_POWER * found.by_rate, detections, novelty)
             shown, log_shown = _rated(found.before, PLACE_POWER * found.shown_by_rate, shown, novelty)
             blind = float(found.before.weight[(found.by_rate == 0.0).all(axis=0)].sum())
-            stays = carried < (SUSPECTED if blind < 0.5 else SURELY_CARRIED)
-            seen_m = (1.0 - blind) * jump.path_m
-            support = self.support * float(np.exp(-seen_m / SUPPORT_M)) if stays else 0.0
-        explained = support + log_shown
-        is_explained = stays and explained > SUPPORTED * (1.0 - blind)
+            support = self.support
+        seen_m = (1.0 - blind) * jump.path_m
+        is_suspected = carried >= (SUSPECTED if blind < 0.5 else SURELY_CARRIED)
+        explained = log_shown if is_suspected else support * float(np.exp(-seen_m / SUPPORT_M)) + log_shown
+        is_explained = not is_suspected and explained > SUPPORTED * (1.0 - blind)
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
             moved = replace(candidates, particles=move.of(candidates.particles))
