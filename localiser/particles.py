@@ -258,9 +258,13 @@ class Clusters:
 def find_clusters(poses: Array, weight: Array, *, mass: float = 0.95) -> Clusters:
     """Return the clusters of poses (N, 3) with weight (N,), in cells of `CELL_M` × `CELL_M` × `CELL_RAD`.
 
-    weight: not negative, of any positive sum. mass: share of the weight, 0 … 1, that clusters hold at least.
+    weight: not negative. mass: share of the weight, 0 … 1, that clusters hold at least. Raises ValueError when the
+    weights' sum is zero or not finite.
     """
-    share = weight / float(np.sum(weight))
+    total = float(np.sum(weight))
+    if not np.isfinite(total) or total <= 0:
+        raise ValueError(f"weights sum to {total}")
+    share = weight / total
     if (np.ptp(poses, axis=0) < [CELL_M, CELL_M, CELL_RAD]).all():  # no larger than a cell, as while a place is tracked
         return _summarised(poses, share, np.zeros(len(poses), dtype=np.int64))
     cells, cell_of_pose = _cells(poses)

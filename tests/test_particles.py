@@ -329,6 +329,12 @@ def test_sums_add_up_and_clusters_are_sorted(seed, count, mass):
     assert (np.linalg.eigvalsh(found.cov) > -1e-12).all()
 
 
+@pytest.mark.parametrize("weight", [[0.0, 0.0], [np.nan, 1.0], [np.inf, 1.0]])
+def test_weights_of_clusters_that_mean_nothing_are_refused(weight):
+    with pytest.raises(ValueError, match="weights"):
+        find_clusters(np.zeros((2, 3)), np.array(weight))
+
+
 def test_places_a_world_apart_are_those_of_a_small_box():
     rng = np.random.default_rng(0)
     poses, weight = rng.normal(0, [0.2, 0.2, 0.1], (400, 3)), rng.random(400)
