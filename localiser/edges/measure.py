@@ -35,8 +35,9 @@ def foot_of_edges(bottom_px: Array, camera: Camera, taken_px: Array | None = Non
     depression = np.arctan2(-rays[:, 1], np.hypot(rays[:, 0], rays[:, 2]))
     sigma_rad = FOOT_SIGMA_PX / camera.focal_px
     seen = inside & (depression > sigma_rad)
-    range_m = geometry.floor_range(camera.mount.height_m, np.where(seen, depression, np.nan))
-    return range_m, geometry.floor_range_sigma(camera.mount.height_m, range_m, sigma_rad)
+    height_m = camera.mount.height_m
+    range_m = height_m / np.tan(np.where(seen, depression, np.nan))
+    return range_m, (range_m**2 + np.square(height_m)) / height_m * sigma_rad
 
 
 PROFILE_OFFSETS_PX = np.array([-6.0, -4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0])

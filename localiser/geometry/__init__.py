@@ -27,8 +27,6 @@ from localiser.geometry.slopes import (
     bearing_from_point,
     bearing_per_lean,
     edge_a_at,
-    floor_range,
-    floor_range_sigma,
     lean_from_bearing,
     sin_of_tilt,
     slope_from_lean,

@@ -50,16 +50,3 @@ def bearing_per_lean(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     """Return J = d(bearing)/d(lean) = (cos²b + s² sin²b) / s. Raises ValueError when the tilt is 0."""
     s = sin_of_tilt(tilt_rad)
     return np.asarray((np.cos(bearing_rad) ** 2 + s**2 * np.sin(bearing_rad) ** 2) / s)
-
-
-def floor_range(height_m: ArrayLike, depression_rad: ArrayLike) -> Array:
-    """Return the floor distance r = h / tan(depression) of a point seen below the horizon; inf at it, nan above."""
-    tangent = np.tan(depression_rad)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.where(tangent < 0, np.nan, np.asarray(height_m) / tangent))
-
-
-def floor_range_sigma(height_m: ArrayLike, range_m: ArrayLike, depression_sigma_rad: ArrayLike) -> Array:
-    """Return the sigma (m) of `floor_range`: (r² + h²) / h · sigma_depression."""
-    r, h = np.asarray(range_m, dtype=np.float64), np.asarray(height_m, dtype=np.float64)
-    return np.asarray((r**2 + h**2) / h * np.asarray(depression_sigma_rad))

@@ -325,25 +325,6 @@ def test_edge_that_comes_to_stand_beside_the_camera_gives_its_depth():
     assert np.isnan(motion_from_slopes(m_2, m_1, 0.0))  # 0 m at first: the ratio of the depths is lost
 
 
-# -- the floor (design equation 9) -------------------------------------------------------------------------------------
-
-
-@given(height=st.floats(0.1, 2), depression=st.floats(0.02, 1.5))
-def test_floor_range_is_where_the_ray_meets_the_floor(height, depression):
-    range_m = g.floor_range(height, depression)
-    assert np.arctan2(height, range_m) == pytest.approx(depression, rel=1e-12)
-    step = 1e-6
-    slope = (g.floor_range(height, depression + step) - g.floor_range(height, depression - step)) / (2 * step)
-    assert g.floor_range_sigma(height, range_m, 0.01) == pytest.approx(0.01 * abs(slope), rel=1e-6)
-
-
-def test_floor_range_at_above_and_straight_below_the_horizon():
-    at, above, below = g.floor_range(1.2, [0.0, -0.1, np.pi / 2])
-    assert at == np.inf
-    assert np.isnan(above)
-    assert below == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize("reach", [1.0, np.pi, 3.0 * np.pi, 100.0])
 def test_wrapping_many_angles_is_wrapping_each(reach):
     angles = np.random.default_rng(0).uniform(-reach, reach, 500)
