@@ -76,16 +76,16 @@ class Peaks(NamedTuple):
 
 def gradient_field(image: Image, camera: Camera) -> GradientField:
     """Return the gradient field of a grey image (H, W) of `camera`; 0 where the image has nothing to show."""
-    grey, unseen = column_view(camera).blocks(image), unseen_blocks(camera)
+    grey, (unseen, some) = column_view(camera).blocks(image), unseen_blocks(camera)
     fine = _filtered(grey, KERNEL.reshape(1, -1), cv2.BORDER_REPLICATE)
     fine[unseen] = 0.0
     least = _LEAST_NOISE_GREY * float(np.linalg.norm(KERNEL)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
-    noise = max(_robust_sigma(fine, unseen), least)
+    noise = max(_robust_sigma(fine, some), least)
     fine /= np.float32(noise)
     smooth = _filtered(fine, ALONG.reshape(-1, 1), cv2.BORDER_CONSTANT)
     # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
     coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
-    smooth_sigma = max(_robust_sigma(smooth, unseen), float(np.linalg.norm(ALONG)))
+    smooth_sigma = max(_robust_sigma(smooth, some), float(np.linalg.norm(ALONG)))
     return GradientField(fine, smooth, coarse, change_of(fine), unseen, noise, smooth_sigma, grey)
 
 
@@ -94,9 +94,9 @@ def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border:
     return np.asarray(cv2.filter2D(values, cv2.CV_32F, kernel, borderType=border), dtype=np.float32)
 
 
-def _robust_sigma(values: NDArray[np.float32], unseen: NDArray[np.bool_]) -> float:
-    """Return 1.48 times the median size, about 0, of the values (B, W) that are seen; neighbours say the same."""
-    size = np.abs(values[~unseen][::17])
+def _robust_sigma(values: NDArray[np.float32], some: NDArray[np.int64]) -> float:
+    """Return 1.48 times the median size, about 0, of some of the values (B, W)."""
+    size = np.abs(values.ravel()[some])
     return 1.4826 * float(np.median(size)) if len(size) else 0.0
 
 
@@ -119,13 +119,17 @@ def clutter(change: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def unseen_blocks(camera: Camera) -> NDArray[np.bool_]:
-    """Return (B, W) blocks with a gradient that touches the outside of the image: its border is not an edge."""
+def unseen_blocks(camera: Camera) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return (B, W) blocks with a gradient that touches the outside of the image: its border is not an edge.
+
+    And the flat indices of every 17th of the others: neighbours say the same.
+    """
     unseen = column_view(camera).tables[2]
     blocks = np.any(unseen.reshape(-1, ROWS_PER_BLOCK, unseen.shape[1]), axis=1).astype(np.uint8)
     reach = int(np.ceil(2 * SCALE_PX))
     blocks[:, : reach + 1] = blocks[:, -reach - 1 :] = 1
-    return np.asarray(cv2.dilate(blocks, np.ones((1, 2 * reach + 1), np.uint8)) > 0)
+    unseen = np.asarray(cv2.dilate(blocks, np.ones((1, 2 * reach + 1), np.uint8)) > 0)
+    return unseen, np.flatnonzero(~unseen)[::17]
 
 
 def peaks_of(field: GradientField) -> Peaks:

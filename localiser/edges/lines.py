@@ -163,20 +163,21 @@ def refined(fit: LineFit, cells: Cells, field: GradientField) -> Fitted:
     """
     groups, line = cells.groups, cells.groups.of
     robust = cells.in_chain.astype(np.float64)
-    curvature = _steady(cells.sampled(field.smooth, fit.at(line, cells.row))[2], _CURVATURE_SIGMA, cells)
+    column = fit.at(line, cells.row)
+    curvature = _steady(cells.sampled(field.smooth, column)[2], _CURVATURE_SIGMA, cells)
     weight = (curvature / _STEEPNESS_SIGMA) ** 2
     for _ in range(2):
-        column = fit.at(line, cells.row)
         height, steepness, _ = cells.sampled(field.fine, column)
         target = column + (steepness / curvature).clip(-2, 2)
         fit = groups.line(cells.row, target, weight * robust)
-        residual = target - fit.at(line, cells.row)
-        far = weight * residual**2 / np.maximum(_excess(weight * residual**2, robust, groups)[line], 1)
+        column = fit.at(line, cells.row)
+        residual = target - column
+        squares = weight * residual**2
+        far = squares / np.maximum(_excess(squares, robust, groups)[line], 1)
         inlier, robust = robust, cells.in_chain * np.clip(1 - far / _TUKEY**2, 0, None) ** 2
     width, width_sigma = _width(fit.slope, height, curvature, cells)
     on_line, fine = np.abs(residual) < 2, _with_scatter(fit, np.sqrt(weight) * residual, inlier, groups)
     # The same lines as they are seen at twice the scale.
-    column = fit.at(line, cells.row)
     _, steepness, curvature = cells.sampled(field.coarse, column)
     curvature = _steady(curvature, _COARSE_CURVATURE_SIGMA, cells)
     target = column + (steepness / curvature).clip(-3, 3)
