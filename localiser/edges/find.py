@@ -138,14 +138,14 @@ def vertical_segments(
     (S,) may be turned besides.
     """
     miss = nadir_miss(segments, camera, plumb_sigma_rad, lens_sigma=LENS_SIGMA)
-    miss = replace(miss, sigma=np.hypot(miss.sigma, turn_sigma_rad))
+    miss = miss._replace(sigma=np.hypot(miss.sigma, turn_sigma_rad))
     prior = MountError(np.zeros(3), np.diag(np.append(mount_sigma_rad, 1.0) ** 2))
     e, tilt_rad = camera.ideal.upright_from_pixels(segments.ends_px)[..., 1], camera.mount.tilt_rad
     above_nadir = (np.cos(tilt_rad) + e * np.sin(tilt_rad)).min(axis=1) > _ABOVE_NADIR
     candidates = above_nadir & _is_met(miss, prior, gate_sigma)
     # Of a vague mount, lines that are not vertical are candidates too: they would tell that all edges are crooked.
     is_near = bool(mount_sigma_rad.max() <= NEAR_RAD)
-    posterior = fit_mount(miss.take(candidates), mount_sigma_rad, learn_crooked=is_near)
+    posterior = fit_mount(NadirMiss(*(column[candidates] for column in miss)), mount_sigma_rad, learn_crooked=is_near)
     return candidates & _is_met(miss, posterior, gate_sigma), posterior
 
 

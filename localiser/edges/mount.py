@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser import geometry
 from localiser.camera import Camera
@@ -29,8 +28,7 @@ LENS_SIGMA = 0.02
 image's corner: lenses of one or two per cent are sold as free of it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MountError:
+class MountError(NamedTuple):
     """By how much tilt, roll (rad) and lens (sigmas) differ from what is stated: state (3,) with covariance (3, 3).
 
     crooked: how crooked edges are over what was stated of it, a factor of standard deviations.
@@ -51,8 +49,7 @@ class MountError:
         return self.state_cov[:2, :2]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NadirMiss:
+class NadirMiss(NamedTuple):
     """The angle between segments (S) and the lines from their middles to the nadir point.
 
     angle: (S,) rad, positive when the upper end lies to the right. per_mount: (S, 3) its derivative by `MountError`'s
@@ -64,10 +61,6 @@ class NadirMiss:
     per_mount: Array
     sigma: Array
     crooked: Array
-
-    def take(self, index: NDArray[np.bool_]) -> NadirMiss:
-        """Return the angles of some segments."""
-        return NadirMiss(self.angle[index], self.per_mount[index], self.sigma[index], self.crooked[index])
 
 
 def nadir_miss(segments: Segments, camera: Camera, plumb_sigma_rad: float, *, lens_sigma: float = 0.0) -> NadirMiss:
@@ -125,13 +118,13 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
     """
     if prior_sigma_rad.max() > NEAR_RAD and len(miss.angle):
         start, narrow = _likeliest(miss, prior_sigma_rad), np.minimum(prior_sigma_rad, NEAR_RAD)
-        turned = replace(miss, angle=miss.angle + miss.per_mount[:, :2] @ start)
+        turned = miss._replace(angle=miss.angle + miss.per_mount[:, :2] @ start)
         near = fit_mount(turned, narrow, learn_crooked=learn_crooked)
         # What the segments tell is `certain` without the narrow prior; the one that is stated takes its place.
         certain, prior = np.linalg.inv(near.state_cov), np.diag(np.append(prior_sigma_rad, 1.0) ** -2.0)
         cov = np.asarray(np.linalg.inv(certain - np.diag(np.append(narrow, 1.0) ** -2.0) + prior), dtype=np.float64)
         begun = np.append(start, 0.0)
-        return replace(near, state=begun + cov @ (certain @ near.state - prior @ begun), state_cov=cov)
+        return near._replace(state=begun + cov @ (certain @ near.state - prior @ begun), state_cov=cov)
     variance, crooked_variance = miss.sigma**2, miss.crooked**2
     if not learn_crooked:
         variance, crooked_variance = variance + crooked_variance, np.zeros(len(variance))
@@ -170,7 +163,7 @@ def mount_error_of_edges(
         by_rate = edges.common.bearing_from_lean[:, edges.common.names.index(TURN_RATE)]
         turned = by_rate / geometry.bearing_per_lean(edges.bearing, tilt_rad) * edges.common.sigma_of(TURN_RATE)
         sigma = np.hypot(sigma, np.sqrt(len(edges)) * np.abs(turned))
-    miss = replace(miss, sigma=sigma, crooked=np.hypot(miss.sigma, plumb_sigma_rad))
+    miss = miss._replace(sigma=sigma, crooked=np.hypot(miss.sigma, plumb_sigma_rad))
     return fit_mount(miss, prior_sigma_rad, learn_crooked=True)
 
 
