@@ -46,7 +46,7 @@ from localiser.filter import (
     track_of,
 )
 from localiser.filter import warm_up as warm_up_filter
-from localiser.geometry import Array, Trajectory, Twist, finite_numbers
+from localiser.geometry import Array, Twist, finite_numbers
 from localiser.landmarks import LandmarkMap
 from localiser.markers import code_of
 from localiser.motion import MotionModel
@@ -135,11 +135,6 @@ class Localiser:
             raise InputError("expected a camera, found none: images need one", field="camera")
         return self._camera
 
-    @property
-    def needs_wheels(self) -> bool:
-        """Whether an image waits for the wheels."""
-        return self.config.increments.source != "vision"
-
     def warm_up(self, *, images: bool = True) -> None:
         """Compile all loops, or load them from the disk, so that no image has to wait; images: those for images too."""
         if isinstance(self.observation, EdgeObservation):
@@ -213,26 +208,16 @@ class Localiser:
 
         A camera whose shutter rolls should be given the wheels' poses up to the image's time before the image.
         """
-        return self.edges(
-            t_ns, self.measure(image, mount, self.twist_at(_nanoseconds(t_ns))), mount, by_wheels=by_wheels
-        )
-
-    def twist_at(self, t_ns: int, track: Trajectory | None = None) -> Twist | None:
-        """Return how the robot moved while it took the image of a time, for `measure`.
-
-        track: poses of the wheels; None: those that `odometry` was given until now. None is returned where the camera
-        takes all rows at once, so that it does not matter.
-        """
-        if self._camera is None or self._camera.shutter is None:
-            return None
-        return self._camera.twist_at(track_of(self.state.odometry) if track is None else track, t_ns)
+        t_ns = _nanoseconds(t_ns)
+        twist = self.camera.twist_at(track_of(self.state.odometry), t_ns) if self.camera.shutter else None
+        return self.edges(t_ns, self.measure(image, mount, twist), mount, by_wheels=by_wheels)
 
     def measure(self, image: Image, mount: Mount | None = None, twist: Twist | None = None) -> MeasuredImage:
         """Return the edges of an image, for `edges` to take now or later. Changes nothing.
 
         image: (H, W) grey or (H, W, 3) BGR uint8, or a JPEG or PNG file's bytes. mount: of the camera when it took this
-        image; None: as the camera says. twist: of the robot then, where the shutter rolls; see `twist_at`. Raises
-        InputError when the image is damaged or of another size than the camera's, or nothing could be seen so mounted.
+        image; None: as the camera says. twist: of the robot then, where the shutter rolls; see `Camera.twist_at`.
+        Raises InputError when the image is damaged or of another size than the camera's, or cannot be mounted so.
         """
         self._check(self._camera and self._camera.at(valid_mount(mount)), images=True)
         begin = perf_counter()
@@ -272,10 +257,7 @@ class Localiser:
             raise InputError(problem, field="landmark_id")
         self._require_ready(t_ns, "image")
         self._measured[t_ns] = measured
-        mcl = self._mcl
-        if not by_wheels:
-            mcl = mcl.by_edges()
-        return self._step(mcl, Sighting(t_ns, measured.edges))
+        return self._step(self._mcl if by_wheels else self._mcl.by_edges(), Sighting(t_ns, measured.edges))
 
     def measurement(self, t_ns: int, measurement: ArrayLike) -> list[LocatedFrame]:
         """Take what an observation of one's own understands; it gets it as `Sighting.measurement`. Raises InputError.

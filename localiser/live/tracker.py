@@ -178,7 +178,7 @@ class Tracker:
         if self.localiser is not None or camera is None:
             return
         self.localiser = self.localiser_of(camera, self.landmark_map)
-        self.timeline.needs_wheels = self.localiser.needs_wheels
+        self.timeline.needs_wheels = self.localiser.config.increments.source != "vision"
         outputs.monitor.inform("the camera is known")
         outputs.publisher.begin(self.localiser.landmark_map, camera, self.clocks.stamp_of(t_ns))
         if self.resumed is not None:
@@ -286,8 +286,8 @@ class Tracker:
         try:
             pixels = grey_image(frame.message)
             image = image_file(frame.message) if pixels is None else pixels
-            mount, twist = self.finder.mount_at(frame.stamp_ns), localiser.twist_at(frame.t_ns, self.timeline.track)
-            frame.measured = localiser.measure(image, mount, twist)
+            twist = localiser.camera.twist_at(self.timeline.track, frame.t_ns)
+            frame.measured = localiser.measure(image, self.finder.mount_at(frame.stamp_ns), twist)
         except (InputError, ValueError) as error:
             self.outputs.monitor.warn("bad image", f"left out an image: {error}")
             self.timeline.discard(frame, "damaged")
