@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import operator
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike, NDArray
 from localiser.camera import Camera, Mount
 from localiser.config import Config, with_seed
 from localiser.edges import Detector, Edges, find_edges
-from localiser.edges import warm_up as warm_up_edges
 from localiser.errors import InputError
 from localiser.filter import (
     Anywhere,
@@ -143,7 +142,8 @@ class Localiser:
         if self._mcl.odometer is not None:
             self._mcl.odometer.warm_up()
         if images and self._camera is not None:
-            warm_up_edges(self.camera, self.config.edges)
+            blank = np.zeros((self.camera.height, self.camera.width), dtype=np.uint8)
+            find_edges(blank, self.camera, self.config.edges)
 
     # -- measurements -------------------------------------------------------------------------------------------------
 
@@ -367,11 +367,6 @@ class Localiser:
 
 
 # -- settings that cannot work ----------------------------------------------------------------------------------------
-
-
-def belongs_to(identity: Mapping[str, str], landmark_map: LandmarkMap) -> bool:
-    """Return whether a state with this `Localiser.identity` belongs to a map."""
-    return identity.get("map") == identity_of({}, map=landmark_map.without_remarks())["map"]
 
 
 def check_settings(

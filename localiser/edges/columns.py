@@ -30,14 +30,10 @@ _CHANGE_OF_NOISE = (3 - np.sqrt(3.0)) / np.sqrt(np.pi)
 """Mean of the smaller of two neighbouring differences of white noise of sigma 1: min = |x| + |y| - max."""
 
 
-def _gradient_kernel() -> NDArray[np.float32]:
-    reach = int(np.ceil(3.5 * SCALE_PX))
-    x = np.arange(-reach, reach + 1)
-    kernel = x * np.exp(-(x**2) / (2 * SCALE_PX**2))
-    return np.asarray(kernel / (kernel @ x), dtype=np.float32)
-
-
-KERNEL = _gradient_kernel()  # the derivative of a Gaussian (K,), such that a ramp of 1 grey level per px gives 1
+_OFFSETS = np.arange(-np.ceil(3.5 * SCALE_PX), np.ceil(3.5 * SCALE_PX) + 1)
+_DERIVATIVE = _OFFSETS * np.exp(-(_OFFSETS**2) / (2 * SCALE_PX**2))
+KERNEL = np.asarray(_DERIVATIVE / (_DERIVATIVE @ _OFFSETS), dtype=np.float32)
+"""The derivative of a Gaussian (K,), such that a ramp of 1 grey level per px gives 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -134,7 +134,9 @@ class Columns:
         column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
         upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
         ideal_px = camera.ideal.pixels_from_upright(upright)
-        to_px = view.pixels_per_column(fit.y, fit.x * ROWS_PER_BLOCK)
+        # How many pixels, across an edge, one column is wide.
+        cos_lean = np.cos(np.arctan(np.sin(camera.mount.tilt_rad) * view.tangent(fit.y)))
+        to_px = view.depth(fit.x * ROWS_PER_BLOCK) * cos_lean * camera.focal_px / view.columns_per_tangent
         shift_sigma_px = to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept])
         sigmas_px = to_px * np.sqrt(2 / fit.weight), shift_sigma_px
         return Segments(ideal_px[:, :2], ideal_px[:, 2:], *sigmas_px, cells.polarity[kept])

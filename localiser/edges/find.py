@@ -82,7 +82,8 @@ def find_edges(
     edges = edges_of_segments(kept, edge, grey, camera, mount_sigma_rad, readout)
     np.minimum.at(edges.landmark_id, edge, code[vertical])
     is_long = edges.length_px >= parameters.min_length_px
-    is_sure = is_long & has_direction(edges, plumb_sigma_rad, gate)
+    # Is the direction known so well that not all that are looked at would pass?
+    is_sure = is_long & (gate * np.hypot(edges.lean_sigma, plumb_sigma_rad) < REACH_RAD)
     edges = edges.take(is_sure | (edges.landmark_id < -1))
     rejected = camera.ideal.image_from_pixels(others.ends_px)
     return replace(edges, rejected_px=camera.pixels_from_image(rejected), mount=mount)
@@ -95,11 +96,6 @@ def _detector_of(parameters: EdgeParameters) -> Detector:
     except ValueError as error:
         raise InputError(f"{error}, found {parameters.detector!r}", field="detector") from None
     return Columns(parameters.min_contrast) if isinstance(detector, Columns) else detector
-
-
-def warm_up(camera: Camera, parameters: EdgeParameters) -> None:
-    """Compile all loops, and make the tables of a camera, by finding no edge."""
-    find_edges(np.zeros((camera.height, camera.width), dtype=np.uint8), camera, parameters)
 
 
 def grey_image(image: Image, camera: Camera) -> Image:
@@ -155,12 +151,6 @@ def _is_met(miss: NadirMiss, mount: MountError, gate_sigma: float) -> NDArray[np
     by_mount = ((miss.per_mount @ mount.state_cov) * miss.per_mount).sum(axis=1)
     allowed = gate_sigma * np.sqrt(miss.sigma**2 + (mount.crooked * miss.crooked) ** 2 + by_mount)
     return np.asarray((np.abs(angle) <= allowed) & (allowed < _VAGUE_RAD))
-
-
-def has_direction(edges: Edges, plumb_sigma_rad: float, gate_sigma: float) -> NDArray[np.bool_]:
-    """Return (E,) whether the direction of edges is known so well that not all that are looked at would pass."""
-    allowed = gate_sigma * np.hypot(edges.lean_sigma, plumb_sigma_rad)
-    return np.asarray(allowed < REACH_RAD)
 
 
 def same_edge(segments: Segments, camera: Camera, mount: MountError, gate_sigma: float) -> NDArray[np.int64]:

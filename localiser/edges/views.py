@@ -119,11 +119,6 @@ class ColumnView:
         tilt_rad = self.camera.mount.tilt_rad
         return np.asarray(np.cos(tilt_rad) + self._e(row) * np.sin(tilt_rad))
 
-    def pixels_per_column(self, column: Array, row: Array) -> Array:
-        """Return how many pixels of the taken image, across a vertical edge, one column is wide."""
-        lean = np.arctan(np.sin(self.camera.mount.tilt_rad) * self.tangent(column))
-        return np.asarray(self.depth(row) * np.cos(lean) * self.camera.focal_px / self.columns_per_tangent)
-
     @cached_property
     def tables(self) -> tuple[NDArray[np.int16], NDArray[np.uint16], NDArray[np.bool_]]:
         """The tables of `cv2.remap` from an image of paired rows, and (H, W) where the image has nothing to show."""

@@ -22,8 +22,8 @@ from localiser.landmarks import LandmarkMap
 from localiser.live.clock import Clocks
 from localiser.live.outputs import Outputs, Published
 from localiser.live.timeline import Frame, Timeline, is_driven
-from localiser.localiser import Localiser, belongs_to
-from localiser.storage import checkpoint_of, write_bytes
+from localiser.localiser import Localiser
+from localiser.storage import checkpoint_of, identity_of, write_bytes
 from localiser.storage.bags import (
     STATE_TOPIC,
     CameraFinder,
@@ -84,7 +84,8 @@ class Resumed:
 
     def is_on(self, landmark_map: LandmarkMap) -> bool:
         """Whether the state belongs to a map."""
-        return belongs_to(checkpoint_of(self.content, self.path).identity, landmark_map)
+        own = identity_of({}, map=landmark_map.without_remarks())["map"]
+        return checkpoint_of(self.content, self.path).identity.get("map") == own
 
     def begin(self, localiser: Localiser, timeline: Timeline, t_ns: int) -> Start:
         """Restore the saved state before the first image, which is at `t_ns`; return about where that is.

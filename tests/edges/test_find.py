@@ -22,7 +22,6 @@ from localiser.edges import (
     lines,
     mount,
     register,
-    warm_up,
 )
 from localiser.edges.measure import BORDER_PX, foot_of_edges
 from localiser.errors import InputError
@@ -207,7 +206,7 @@ def test_beside_clipped_white_place_and_lean_are_less_certain():
 
 def test_after_warming_up_nothing_is_left_to_compile():
     camera = CAMERAS["distorted"]
-    warm_up(camera, EdgeParameters())
+    find_edges(np.zeros((camera.height, camera.width), dtype=np.uint8), camera, EdgeParameters())
     modules = (columns, lines, mount, find)
     all_loops = [
         compiled(getattr(module, name)) for module in modules for name in dir(module) if name.endswith("_loop")

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localiser.edges import EdgeParameters, Edges, find_edges
-from localiser.edges.find import has_direction
 from localiser.edges.find import vertical_segments as chosen_segments
 from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
 from localiser.edges.types import BearingSensor, Segments, complete
@@ -217,9 +216,14 @@ def test_how_far_an_edge_may_miss_depends_on_how_plumb_the_others_are(out_of_plu
 
 def test_an_edge_of_no_known_direction_is_none():
     """`columns` looks up to 7.1° from vertical: where 3 sigmas are more, every line would pass."""
-    unknown, sigma = np.full(2, np.nan), np.deg2rad([2.0, 2.5])
-    edges = Edges.from_columns(unknown, unknown, np.zeros(2), sigma)
-    assert has_direction(edges, np.deg2rad(0.3), 3.0).tolist() == [True, False]
+    camera = camera_of()
+    ends = vertical_segments(camera, np.array([-10.0, 10.0])).ends_px
+    for length_px, found in ((21.0, 2), (16.0, 1)):  # 3 sigmas are 6.6° and 8.5°
+        ends[1, 1] = ends[1, 0] + (ends[1, 1] - ends[1, 0]) * length_px / np.linalg.norm(ends[1, 1] - ends[1, 0])
+        segments = Segments.of_ends(ends, 0.55)
+        blank = np.zeros((camera.height, camera.width), dtype=np.uint8)
+        parameters = EdgeParameters(min_length_px=3.0)
+        assert len(find_edges(blank, camera, parameters, detector=lambda *_, s=segments: s)) == found
 
 
 def test_the_longest_edges_stay_in_their_order() -> None:
