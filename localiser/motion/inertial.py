@@ -47,24 +47,16 @@ def up_of(t_ns: NDArray[np.int64], rate_rad_s: Array, acceleration_m_s2: Array) 
             f[:3, :3], f[:3, 3:] = turning.T, -step_s * np.eye(3)
             q = np.repeat([_RATE_PER_SQRT_S**2 * step_s, _BIAS_PER_SQRT_S**2 * step_s], 3)
             attitude, p = attitude @ turning, f @ p @ f.T + np.diag(q)
-        attitude, bias, p = _corrected(attitude, bias, p, acceleration_m_s2[k], max(step_s, 1e-3))
+        length = float(np.linalg.norm(acceleration_m_s2[k]))
+        if length >= 0.1 * GRAVITY_M_S2:  # else it is falling
+            x, y, z = attitude[2]
+            h = np.zeros((3, 6))
+            h[:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]  # the cross product with up
+            variance = _ACCELERATING**2 + (length / GRAVITY_M_S2 - 1.0) ** 2
+            variance *= max(_CORRELATED_S / max(step_s, 1e-3), 1.0)  # samples within that time err together
+            gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + variance * np.eye(3))
+            change = gain @ (acceleration_m_s2[k] / length - attitude[2])
+            p = (np.eye(6) - gain @ h) @ p
+            attitude, bias, p = attitude @ cv2.Rodrigues(change[:3])[0], bias + change[3:], (p + p.T) / 2
         up[k], cov[k] = attitude[2], p[:3, :3]
     return up, cov
-
-
-def _corrected(
-    attitude: Array, bias: Array, p: Array, acceleration: Array, step_s: float
-) -> tuple[Array, Array, Array]:
-    """Return attitude, level from sensor (3, 3), bias and covariance (6, 6) after the accelerometer said what is up."""
-    length = float(np.linalg.norm(acceleration))
-    if length < 0.1 * GRAVITY_M_S2:  # falling
-        return attitude, bias, p
-    x, y, z = up = attitude[2]
-    h = np.zeros((3, 6))
-    h[:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]  # the cross product with up
-    variance = _ACCELERATING**2 + (length / GRAVITY_M_S2 - 1.0) ** 2
-    variance *= max(_CORRELATED_S / step_s, 1.0)  # samples within that time err together
-    gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + variance * np.eye(3))
-    change = gain @ (acceleration / length - up)
-    p = (np.eye(6) - gain @ h) @ p
-    return attitude @ cv2.Rodrigues(change[:3])[0], bias + change[3:], (p + p.T) / 2

@@ -213,7 +213,10 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
     the turn comes before the translation, which the camera's own yaw turns the other way. Derivatives are by
     `CONSTANT_ERRORS`, of which an increment that wheels alone did not measure tells nothing.
     """
-    direction, turn = direction_of_travel(increment), float(increment.mean[2])
+    (right, backward), turn = increment.mean[:2], float(increment.mean[2])
+    # As a line, forward and backward count alike; straight ahead when the robot stood.
+    is_driven = np.hypot(right, backward) >= 1e-9
+    direction = float(wrap_half_turn(np.arctan2(-right, -backward))) if is_driven else turn / 2
     from_robot = _from_step(direction).T
     ahead_m = float(increment.mean[:2] @ from_robot[0, :2])
     distance_var, turn_var = noise_variances(increment, parameters)
@@ -232,17 +235,6 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
     by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
     doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
     return direction, ahead_m, noise, effects, np.asarray(from_robot.T @ (noise + doubt) @ from_robot)
-
-
-def direction_of_travel(increment: Increment) -> float:
-    """Return the angle (rad) from the robot's forward axis, anticlockwise, along which distance noise acts.
-
-    The chord of the motion, as a line: forward and backward count alike; straight ahead when the robot stood.
-    """
-    right, backward = increment.mean[:2]
-    if np.hypot(right, backward) < 1e-9:
-        return float(increment.mean[2] / 2)
-    return float(wrap_half_turn(np.arctan2(-right, -backward)))
 
 
 def _from_step(way: float) -> Array:
