@@ -38,5 +38,4 @@ from localiser.geometry.trajectory import (
     Twist,
     bridged,
     twist_at,
-    without_pauses,
 )

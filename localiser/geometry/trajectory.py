@@ -1,4 +1,4 @@
-"""Poses at times, and between them; odometry without its jumps, times without long pauses; how fast a robot moves."""
+"""Poses at times, and between them; odometry without its jumps; how fast a robot moves."""
 
 from __future__ import annotations
 
@@ -71,13 +71,6 @@ def _jumps(steps: Array, seconds: ArrayLike) -> NDArray[np.bool_]:
     way_m, turn_rad = np.hypot(steps[..., 0], steps[..., 1]), np.abs(wrap_angle(steps[..., 2]))
     far = way_m > np.maximum(FASTEST_M_S * np.asarray(seconds), LEAST_JUMP_M)
     return np.asarray(far | (turn_rad > np.maximum(FASTEST_RAD_S * np.asarray(seconds), LEAST_JUMP_RAD)))
-
-
-def without_pauses(t_ns: ArrayLike, longest_ns: int) -> NDArray[np.int64]:
-    """Return increasing times (T,), the first as it is, with every longer pause between two cut to `longest_ns`."""
-    times = np.asarray(t_ns, dtype=np.int64)
-    steps = np.minimum(np.diff(times), longest_ns)
-    return np.concatenate([times[:1], times[:1] + np.cumsum(steps)])
 
 
 WHEELS_SHARE = 0.05  # by which wheels may misjudge a turn, 1 sigma
