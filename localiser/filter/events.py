@@ -82,37 +82,27 @@ def moves_between(
     jumped = bool(((times[jumps] > start_ns) & (times[jumps - 1] < t_ns)).any())
     inside = times[(times > start_ns) & (times < t_ns)]
     knots_ns = np.array([start_ns, *inside, t_ns])
-    knots = track.sampled(knots_ns).poses
+    knots, late = np.split(track.sampled(np.append(knots_ns, knots_ns - round(1e9 * delay_s))).poses, 2)
     steps = between(knots[:-1], knots[1:])
     path_m, turned_rad = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
     move = np.floor(np.cumsum(path_m / MOVE_M + turned_rad / MOVE_RAD)).astype(np.int64)
     first = np.flatnonzero(np.diff(move, prepend=-1))
     ends = np.append(first, len(steps))
     means = between(knots[ends[:-1]], knots[ends[1:]])
-    by_delay = _by_delay(track, knots_ns[ends], means, delay_s)
+    # A secant over a typical delay, since velocities that are commanded jump.
+    by_delay = between(late[ends[:-1]], late[ends[1:]]) - means
+    by_delay[:, 2] = wrap_angle(by_delay[:, 2])
+    by_delay /= delay_s or 1.0
     paths, turns = np.add.reduceat(path_m, first), np.add.reduceat(turned_rad, first)
     moves = [
-        Increment(mean, np.zeros((3, 3)), path, turned, late)
-        for mean, path, turned, late in zip(means, paths, turns, by_delay, strict=True)
+        Increment(mean, np.zeros((3, 3)), path, turned, per_s)
+        for mean, path, turned, per_s in zip(means, paths, turns, by_delay, strict=True)
     ]
-    pose = raw.at(t_ns)
+    pose = raw.at(t_ns) if len(jumps) else knots[-1]
     # Keep the last pose at or before where the next increment, or a later robot's, starts, and the one before it.
     while len(odometry) > 2 and odometry[2].t_ns <= t_ns - round(1e9 * delay_s):
         odometry.popleft()
     return moves, pose, jumped
-
-
-def _by_delay(track: Trajectory, ends_ns: NDArray[np.int64], means: Array, delay_s: float) -> Array:
-    """Return how motions (M, 3) between times (M + 1,) change per second by which the robot is later than its odometry.
-
-    A secant over a typical delay, since velocities that are commanded jump.
-    """
-    if delay_s == 0:
-        return np.zeros_like(means)
-    late = track.sampled(ends_ns - round(1e9 * delay_s)).poses
-    change = between(late[:-1], late[1:]) - means
-    change[:, 2] = wrap_angle(change[:, 2])
-    return np.asarray(change / delay_s)
 
 
 def is_silent(odometry: deque[Odometry], start_ns: int, t_ns: int) -> bool:
