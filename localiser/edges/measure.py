@@ -52,19 +52,18 @@ def profiles(ends_px: Array, image: Image, camera: Camera, taken_of: Callable[[A
     """
     if len(ends_px) == 0:
         return np.zeros((0, len(PROFILE_OFFSETS_PX)))
-    bottom, top = ends_px[:, None, None, 0], ends_px[:, None, None, 1]
-    along = ((np.arange(_SAMPLES_ALONG) + 0.5) / _SAMPLES_ALONG)[:, None, None]
-    up = (top - bottom) / np.maximum(np.linalg.norm(top - bottom, axis=-1, keepdims=True), 1e-9)
-    rightwards = up[..., ::-1] * [-1.0, 1.0]
-    points = bottom + (top - bottom) * along + rightwards * PROFILE_OFFSETS_PX[:, None]
-    points = points if taken_of is None else taken_of(points)
-    bent = camera.is_distorted
-    taken = camera.pixels_from_image(camera.ideal.image_from_pixels(points)) if bent else points
-    u, v = np.ascontiguousarray(taken.astype(np.float32).reshape(len(ends_px), -1, 2).transpose(2, 0, 1))
-    inside = ((u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)).reshape(taken.shape[:-1])
+    # Points (2, P, A, S): with the segments last, loops are long.
+    bottom, top = ends_px.T[:, 0, None, None], ends_px.T[:, 1, None, None]
+    along = ((np.arange(_SAMPLES_ALONG) + 0.5) / _SAMPLES_ALONG)[:, None]
+    right, up = (top - bottom) / np.maximum(np.linalg.norm(top - bottom, axis=0), 1e-9)
+    points = bottom + (top - bottom) * along + np.array([-up, right]) * PROFILE_OFFSETS_PX[:, None, None]
+    points = points if taken_of is None else taken_of(points.T).T
+    taken = camera.pixels_from_image(camera.ideal.image_from_pixels(points.T)).T if camera.is_distorted else points
+    u, v = np.ascontiguousarray(taken, dtype=np.float32).reshape(2, -1, len(ends_px))
+    inside = ((u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)).reshape(taken.shape[1:])
     grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(inside.shape)
     seen = inside.sum(axis=1)
-    return np.where(seen > 0, (grey * inside).sum(axis=1) / np.maximum(seen, 1), np.nan)
+    return np.where(seen > 0, (grey * inside).sum(axis=1) / np.maximum(seen, 1), np.nan).T.copy()
 
 
 def polarity_of_profiles(profile: Array) -> NDArray[np.int8]:
