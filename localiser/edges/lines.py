@@ -53,7 +53,12 @@ class Groups:
 
     def line(self, x: Values, y: Array, weight: Array) -> LineFit:
         """Return the weighted least-squares line of each group through (x, y) (K,)."""
-        return LineFit(*compiled(line_loop)(self.of, self.count, x.astype(np.float64), y, weight))
+        total = np.maximum(self.sum(weight), 1e-12)
+        mean_x, mean_y = self.sum(weight * x) / total, self.sum(weight * y) / total
+        from_mean = x - mean_x[self.of]
+        weighted = weight * from_mean
+        spread = self.sum(weighted * from_mean)
+        return LineFit(mean_x, mean_y, self.sum(weighted * y) / np.maximum(spread, 1e-12), total, spread)
 
 
 LEAST_BLOCKS = 3
@@ -270,22 +275,3 @@ def samples_loop(
         steepness[k] = (there - before + share * (after - here - there + before)) / 2
         curvature[k] = 2 * here - before - there + share * (3 * (there - here) + before - after)
     return height, steepness, curvature
-
-
-def line_loop(
-    of: NDArray[np.int64], count: int, x: Array, y: Array, weight: Array
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Return mean x, mean y, slope, total weight and spread of x (G,) of values (K,) in groups: `Groups.line`."""
-    mean_x, mean_y, total = np.zeros(count), np.zeros(count), np.zeros(count)
-    for k in range(len(of)):
-        total[of[k]] += weight[k]
-        mean_x[of[k]] += weight[k] * x[k]
-        mean_y[of[k]] += weight[k] * y[k]
-    total = np.maximum(total, 1e-12)
-    mean_x, mean_y = mean_x / total, mean_y / total
-    spread, slope = np.zeros(count), np.zeros(count)
-    for k in range(len(of)):
-        from_mean = weight[k] * (x[k] - mean_x[of[k]])
-        spread[of[k]] += from_mean * (x[k] - mean_x[of[k]])
-        slope[of[k]] += from_mean * y[k]
-    return mean_x, mean_y, slope / np.maximum(spread, 1e-12), total, spread
