@@ -42,7 +42,7 @@ class GradientField:
 
     fine: at `SCALE_PX`. smooth: the same averaged over neighbouring blocks. coarse: at twice the scale.
     change: mean size of what changes both from the block above and to the one below nearby, noise and texture.
-    unseen: blocks where the image has nothing to show. noise_grey: the noise's sigma (grey levels per px).
+    inside: whether both neighbours in the row are seen too. noise_grey: the noise's sigma (grey levels per px).
     smooth_sigma: the noise's sigma in `smooth`. grey: the rectified image averaged over blocks (grey levels).
     """
 
@@ -50,7 +50,7 @@ class GradientField:
     smooth: NDArray[np.float32]
     coarse: NDArray[np.float32]
     change: NDArray[np.float32]
-    unseen: NDArray[np.bool_]
+    inside: NDArray[np.bool_]
     noise_grey: float
     smooth_sigma: float
     grey: NDArray[np.float32]
@@ -72,7 +72,7 @@ class Peaks(NamedTuple):
 
 def gradient_field(image: Image, camera: Camera) -> GradientField:
     """Return the gradient field of a grey image (H, W) of `camera`; 0 where the image has nothing to show."""
-    grey, (unseen, some) = column_view(camera).blocks(image), unseen_blocks(camera)
+    grey, (unseen, inside, some) = column_view(camera).blocks(image), unseen_blocks(camera)
     fine = _filtered(grey, KERNEL.reshape(1, -1), cv2.BORDER_REPLICATE)
     fine[unseen] = 0.0
     least = _LEAST_NOISE_GREY * float(np.linalg.norm(KERNEL)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
@@ -82,7 +82,7 @@ def gradient_field(image: Image, camera: Camera) -> GradientField:
     # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
     coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
     smooth_sigma = max(_robust_sigma(smooth, some), float(np.linalg.norm(ALONG)))
-    return GradientField(fine, smooth, coarse, change_of(fine), unseen, noise, smooth_sigma, grey)
+    return GradientField(fine, smooth, coarse, change_of(fine), inside, noise, smooth_sigma, grey)
 
 
 def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border: int) -> NDArray[np.float32]:
@@ -115,49 +115,33 @@ def clutter(change: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def unseen_blocks(camera: Camera) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def unseen_blocks(camera: Camera) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
     """Return (B, W) blocks with a gradient that touches the outside of the image: its border is not an edge.
 
-    And the flat indices of every 17th of the others: neighbours say the same.
+    And (B, W) the others that have none beside them: a slope that the border cuts off has no top there. And the flat
+    indices of every 17th of the others: neighbours say the same.
     """
     unseen = column_view(camera).tables[2]
     blocks = np.any(unseen.reshape(-1, ROWS_PER_BLOCK, unseen.shape[1]), axis=1).astype(np.uint8)
     reach = int(np.ceil(2 * SCALE_PX))
     blocks[:, : reach + 1] = blocks[:, -reach - 1 :] = 1
-    unseen = np.asarray(cv2.dilate(blocks, np.ones((1, 2 * reach + 1), np.uint8)) > 0)
-    return unseen, np.flatnonzero(~unseen)[::17]
+    unseen, beside = (cv2.dilate(blocks, np.ones((1, 2 * wide + 1), np.uint8)) > 0 for wide in (reach, reach + 1))
+    return np.asarray(unseen), np.asarray(~beside), np.flatnonzero(~unseen)[::17]
 
 
 def peaks_of(field: GradientField) -> Peaks:
     """Return where the size of the smoothed gradient has a peak along its row, and how peaks go on from row to row."""
-    # None beside what is not seen: a slope that the border cuts off has no top there.
-    peaks = compiled(peaks_loop)(field.smooth, field.unseen, PEAK_SIGMA * field.smooth_sigma)
-    rows, width = field.smooth.shape
-    return Peaks(*peaks, compiled(links_loop)(*peaks, np.full((rows + 2, width + 2), -1, dtype=np.int32)))
-
-
-def peaks_loop(
-    smooth: NDArray[np.float32], unseen: NDArray[np.bool_], least: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int8]]:
-    """Return row, column, sub-pixel position and sign (P,) of the peaks along rows (B, W) higher than `least`."""
-    rows, width = smooth.shape
-    most = rows * (width // 2)
-    row, column = np.empty(most, np.int64), np.empty(most, np.int64)
-    position, sign = np.empty(most, np.float64), np.empty(most, np.int8)
-    count = 0
-    for r in range(rows):
-        for c in range(1, width - 1):
-            here = abs(smooth[r, c])
-            if here <= least or here <= abs(smooth[r, c - 1]) or here < abs(smooth[r, c + 1]):
-                continue
-            if unseen[r, c - 1] or unseen[r, c] or unseen[r, c + 1]:
-                continue
-            polarity = 1 if smooth[r, c] > 0 else -1
-            left, right = smooth[r, c - 1] * polarity, smooth[r, c + 1] * polarity
-            row[count], column[count], sign[count] = r, c, polarity
-            position[count] = c + (right - left) / (2 * (2 * here - left - right))
-            count += 1
-    return row[:count], column[:count], position[:count], sign[:count]
+    (rows, width), smooth = field.smooth.shape, field.smooth.ravel()
+    size, least = np.abs(smooth), np.float64(PEAK_SIGMA * field.smooth_sigma)
+    # Row after row: none begins or ends with what can have a peak.
+    is_peak = (size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]) & (size[1:-1] > least) & field.inside.ravel()[1:-1]
+    place = np.flatnonzero(is_peak) + 1
+    row, column = np.divmod(place, width)
+    polarity = np.sign(smooth[place]).astype(np.int8)
+    left, here, right = (smooth[place + by].astype(np.float64) * polarity for by in (-1, 0, 1))
+    position = column + (right - left) / (2 * (2 * here - left - right))
+    who = np.full((rows + 2, width + 2), -1, dtype=np.int32)
+    return Peaks(row, column, position, polarity, compiled(links_loop)(row, column, position, polarity, who))
 
 
 def links_loop(
