@@ -14,7 +14,7 @@ import yaml
 from edge_scenes import COUNTED_LENGTH_PX, NEIGHBOUR_PX, Scene
 
 from localiser.camera import Camera, Mount
-from localiser.geometry import Array, edge_a_at, robot_from_map
+from localiser.geometry import Array, robot_from_map
 from localiser.simulate import simulated_log, world_of
 
 COUNTED_STEP = 8.0
@@ -108,9 +108,8 @@ def _tangent(points: Array, camera: Camera, pose: Array) -> Array:
 
 def _at_points(ends_px: Array, points: Array, camera: Camera, pose: Array) -> Array:
     """Return segments (T, 2, 2) moved to the vertical edges at map points (T, 2), at the same image heights."""
-    height = camera.upright_from_pixels(ends_px)[..., 1]
-    bearing = np.arctan(_tangent(points, camera, pose))
-    across = edge_a_at(height, bearing[:, None], camera.mount.tilt_rad)
+    height, tilt_rad = camera.upright_from_pixels(ends_px)[..., 1], camera.mount.tilt_rad
+    across = _tangent(points, camera, pose)[:, None] * (np.cos(tilt_rad) + height * np.sin(tilt_rad))
     return camera.pixels_from_upright(np.stack([across, height], axis=-1))
 
 

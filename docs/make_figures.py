@@ -141,13 +141,13 @@ def draw_image(axes: Axes) -> None:
     axes.add_patch(Rectangle((0, 0), 639, 479, facecolor="#f3f5f7", edgecolor=INK, lw=1.6))
     for bearing_deg in (-24, -12, 0, 12, 24):
         e = np.array([camera.upright_bounds[3], camera.upright_bounds[2]])
-        a = geometry.edge_a_at(e, np.radians(bearing_deg), tilt)
+        a = np.tan(np.radians(bearing_deg)) * (np.cos(tilt) + e * np.sin(tilt))
         top, bottom = camera.pixels_from_upright(np.stack([a, e], axis=-1))
         line(axes, bottom, nadir, MUTED, ls=":", lw=1)
         line(axes, top, bottom, LANDMARK, lw=2)
         write(axes, (top[0], -12), f"{bearing_deg}°".replace("-", "−"), LANDMARK, ha="center", size=9)
     write(axes, (319.5, -62), "bearing b of each edge", LANDMARK, ha="center")
-    foot = camera.pixels_from_upright([geometry.edge_a_at(-0.38, np.radians(12), tilt), -0.38])
+    foot = camera.pixels_from_upright([np.tan(np.radians(12)) * (np.cos(tilt) - 0.38 * np.sin(tilt)), -0.38])
     lean_deg = float(np.degrees(geometry.lean_from_bearing(np.radians(12), tilt)))
     line(axes, foot, foot - np.array([0, 330]), CAMERA, ls="--")
     # v points down the page: straight up is at -90°, and a lean to the right turns towards 0°.

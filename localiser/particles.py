@@ -170,15 +170,14 @@ def take(particles: Particles, index: Indices) -> Particles:
     return replace(particles, columns=np.take(particles.columns, index, axis=1), log_weight=np.zeros(len(index)))
 
 
-def only(particles: Particles, chosen: NDArray[np.bool_]) -> Particles:
+def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
     """Return the chosen (N,) of the particles, with their weights."""
     return replace(particles, columns=particles.columns[:, chosen], log_weight=particles.log_weight[chosen])
 
 
 def thinned(particles: Particles, count: int) -> Particles:
     """Return every k-th of the particles, with its weight: `count` of them, or somewhat more."""
-    step = max(particles.columns.shape[1] // count, 1)
-    return replace(particles, columns=particles.columns[:, ::step], log_weight=particles.log_weight[::step])
+    return only(particles, slice(None, None, max(len(particles) // count, 1)))
 
 
 def centred(particles: Particles) -> tuple[Array, Array, Array]:

@@ -104,7 +104,7 @@ def one_pixel() -> Sheet:
 def _whole_edge(camera: Camera, bearing_rad: float) -> Array:
     """Return the ends (2, 2) px, bottom first, of an edge at this bearing, cut off by the image's border."""
     e = (camera.cy - np.linspace(camera.height - 1.0, 0.0, camera.height)) / camera.focal_px
-    a = geometry.edge_a_at(e, bearing_rad, camera.mount.tilt_rad)
+    a = np.tan(bearing_rad) * (np.cos(camera.mount.tilt_rad) + e * np.sin(camera.mount.tilt_rad))
     pixels = camera.pixels_from_upright(np.stack([a, e], axis=-1))
     inside = pixels[np.all((pixels >= 0) & (pixels <= [camera.width - 1, camera.height - 1]), axis=1)]
     return np.asarray(inside[[0, -1]])

@@ -153,11 +153,17 @@ def test_projection_is_that_of_opencv(lens, data, robot_pose):
     np.testing.assert_allclose(camera.project_level(rays * [[0.7], [3.0]]), pixels, atol=1e-8)
 
 
+def upright_edge(camera, bearing, e):
+    """Return points (..., 2) of the edge at this bearing at upright image heights (...)."""
+    tilt = camera.mount.tilt_rad
+    return np.stack([np.tan(bearing) * (np.cos(tilt) + e * np.sin(tilt)), e], axis=-1)
+
+
 @given(data=st.data(), e=st.lists(st.floats(-0.4, 0.4), min_size=2, max_size=5), bearing=st.floats(-0.4, 0.4))
 def test_undoing_tilt_and_roll_makes_a_column_of_every_edge(data, e, bearing):
     # Design equation 3: the rotation alone does it, whatever the depth of each point.
     camera = data.draw(cameras("plumb_bob"))
-    upright = np.stack([g.edge_a_at(np.array(e), bearing, camera.mount.tilt_rad), e], axis=-1)
+    upright = upright_edge(camera, bearing, np.array(e))
     x, _, z = camera.level_rays(camera.pixels_from_upright(upright)).T
     np.testing.assert_allclose(x / -z, np.tan(bearing), atol=1e-12)
 
@@ -246,8 +252,7 @@ def edge_segment(camera, bearing, length_px, middle_e=0.0):
     """Return the pixels (1, 2, 2) of a segment of the edge at this bearing, around an upright image height."""
     lean = g.lean_from_bearing(bearing, camera.mount.tilt_rad)
     e = middle_e + np.array([-0.5, 0.5]) * length_px / camera.focal_px * np.cos(lean)
-    upright = np.stack([g.edge_a_at(e, bearing, camera.mount.tilt_rad), e], axis=-1)
-    return camera.pixels_from_upright(upright)[None]
+    return camera.pixels_from_upright(upright_edge(camera, bearing, e))[None]
 
 
 @pytest.mark.parametrize(("bearing_deg", "sigma_deg"), [(0, 0.0388), (28, 0.0308)])

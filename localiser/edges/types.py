@@ -173,11 +173,8 @@ def complete(
     full_bearing = np.where(no_bearing, geometry.bearing_from_lean(lean, tilt_rad), bearing)
     full_lean = np.where(no_lean, geometry.lean_from_bearing(bearing, tilt_rad), lean)
     per_lean = np.abs(geometry.bearing_per_lean(full_bearing, tilt_rad))
-    bearing_sigma, lean_sigma = (
-        np.where(no_bearing, lean_sigma * per_lean, bearing_sigma),
-        np.where(no_lean, bearing_sigma / per_lean, lean_sigma),
-    )
-    return full_bearing, bearing_sigma, full_lean, lean_sigma
+    full_bearing_sigma = np.where(no_bearing, lean_sigma * per_lean, bearing_sigma)
+    return full_bearing, full_bearing_sigma, full_lean, np.where(no_lean, bearing_sigma / per_lean, lean_sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
