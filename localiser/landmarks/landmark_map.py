@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array
-from localiser.geometry.compiled import compiled, entry
+from localiser.geometry.compiled import compiled
 
 Indices = NDArray[np.int64]
 Kept = TypeVar("Kept")
@@ -162,8 +162,8 @@ def kept_with(landmark_map: LandmarkMap, key: tuple[Any, ...], make: Callable[[]
 class Reach(NamedTuple):
     """The floor in pieces (X, Z), and the landmarks within `radius_m` of any point of each.
 
-    low: (2,) corner, per_m: pieces in a metre, 0 where one piece is the whole plane. start: (X·Z + 1,) and item: the
-    list of piece k = x · Z + z is item[start[k] : start[k + 1]], ascending. Beyond the pieces there are none.
+    low: (2,) corner, per_m: pieces in a metre. start: (X·Z + 1,) and item: the list of piece k = x · Z + z is
+    item[start[k] : start[k + 1]], ascending. Beyond the pieces there are none.
     """
 
     low: Array
@@ -175,8 +175,10 @@ class Reach(NamedTuple):
 
     @classmethod
     def of(cls, points: Array, radius_m: float) -> Reach:
-        """Return the lists of landmarks (L, 2), L > 0."""
+        """Return the lists of landmarks (L, 2)."""
         points = np.ascontiguousarray(points, dtype=np.float64)
+        if not len(points):
+            return cls(np.zeros(2), 0.0, (0, 0), np.zeros(1, np.int64), np.zeros(0, np.int32), radius_m)
         low, high = points.min(axis=0) - radius_m, points.max(axis=0) + radius_m
         piece_m = PIECE_M
         while np.prod(np.ceil((high - low) / piece_m)) > MOST_PIECES:
@@ -185,46 +187,11 @@ class Reach(NamedTuple):
         start, item = compiled(within_reach_loop)(points, low, piece_m, (columns, rows), radius_m)
         return cls(low, 1.0 / piece_m, (columns, rows), start, item, radius_m)
 
-    @classmethod
-    def everything(cls, count: int) -> Reach:
-        """Return one list of all landmarks, for poses of which nothing is known."""
-        start, item = np.array([0, count]), np.arange(count, dtype=np.int32)
-        return cls(np.zeros(2), 0.0, (1, 1), start, item, np.inf)
-
 
 def reach_of(landmark_map: LandmarkMap, range_m: float) -> Reach:
     """Return which landmarks a camera may see that sees so far, from every piece of the floor."""
-
-    def make() -> Reach:
-        points = landmark_map.points
-        return Reach.of(points, range_m + _MARGIN_M) if len(points) else Reach.everything(0)
-
-    return kept_with(landmark_map, ("reach", range_m), make)
-
-
-def in_view_of_cells(
-    run: Indices,
-    low: Array,
-    per_unit: Array,
-    shape: Indices,
-    points: Array,
-    half_view_rad: float,
-    range_max_m: float,
-    reach: Reach,
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> tuple[Indices, NDArray[np.int32]]:
-    """Return start (cells + 1,) and item: landmarks item[start[c] : start[c + 1]] can be in view from cell c.
-
-    run: (cells + 1,) ascending; cells that it does not grow by are left empty. Cells start at `low` (3,) x, z, heading,
-    per_unit (3,) in a unit, shape (3,) in all. points: (L, 2 or more) x, z. reach: of the same landmarks; where cells
-    are larger than it is made for, all landmarks are looked at. offset: of the camera from the poses that are meant:
-    right, back (m), yaw (rad).
-    """
-    slack = 0.5 * np.hypot(*(1.0 / per_unit[:2])) + np.hypot(*offset[:2]) * 0.5 / per_unit[2]
-    if range_max_m + slack > reach.radius_m:
-        reach = Reach.everything(len(points))
-    points = np.ascontiguousarray(points, dtype=np.float64)
-    return entry(in_view_of_cells_loop)(run, low, per_unit, shape, offset, points, half_view_rad, range_max_m, reach)
+    radius_m = range_m + _MARGIN_M
+    return kept_with(landmark_map, ("reach", range_m), lambda: Reach.of(landmark_map.points, radius_m))
 
 
 def within_reach_loop(
@@ -267,7 +234,12 @@ def in_view_of_cells_loop(
     farthest_m: float,
     reach: Reach,
 ) -> tuple[Indices, NDArray[np.int32]]:
-    """Return what `in_view_of_cells` returns.
+    """Return start (cells + 1,) and item: landmarks item[start[c] : start[c + 1]] can be in view from cell c.
+
+    run: (cells + 1,) ascending; cells that it does not grow by are left empty. Cells start at `low` (3,) x, z, heading,
+    per_unit (3,) in a unit, shape (3,) in all. offset: of the camera from the poses that are meant: right, back (m),
+    yaw (rad). points: (L, 2 or more) x, z. reach: of the same landmarks; where cells are larger than it is made for,
+    all landmarks are looked at.
 
     Never one too few: what a camera sees lies between two planes through it and within range; for a whole cell the
     planes are moved apart by its half diagonal and turned by half its width in heading.
@@ -278,7 +250,7 @@ def in_view_of_cells_loop(
     slack = 0.5 * np.hypot(1.0 / per_unit[0], 1.0 / per_unit[1]) + np.hypot(right, back) * half_turn
     sin_view, cos_view = np.sin(half_view_rad + half_turn), np.cos(half_view_rad + half_turn)
     is_wedge = half_view_rad + half_turn < np.pi / 2
-    used = 0
+    used, is_far = 0, farthest_m + slack > reach.radius_m
     for c in range(len(run) - 1):
         if run[c + 1] > run[c]:
             heading = low[2] + (c % shape[2] + 0.5) / per_unit[2]
@@ -288,14 +260,14 @@ def in_view_of_cells_loop(
             z += np.cos(heading) * back - np.sin(heading) * right
             cos, sin = np.cos(heading + yaw), np.sin(heading + yaw)
             i, j = np.floor((x - reach.low[0]) * reach.per_m), np.floor((z - reach.low[1]) * reach.per_m)
-            first, last = 0, 0
-            if i >= 0 and j >= 0 and i < reach.shape[0] and j < reach.shape[1]:
+            first, last = 0, len(points) if is_far else 0
+            if not is_far and i >= 0 and j >= 0 and i < reach.shape[0] and j < reach.shape[1]:
                 piece = int(i) * reach.shape[1] + int(j)
                 first, last = reach.start[piece], reach.start[piece + 1]
             if used + last - first > len(item):
                 item = np.concatenate((item, np.empty(len(item) + last - first, np.int32)))
             for place in range(first, last):
-                k = reach.item[place]
+                k = place if is_far else reach.item[place]
                 dx, dz = points[k, 0] - x, points[k, 1] - z
                 aside, ahead = abs(dx * cos - dz * sin), -(dx * sin + dz * cos)
                 inside = dx * dx + dz * dz <= (farthest_m + slack) ** 2

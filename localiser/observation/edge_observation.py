@@ -38,7 +38,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.geometry.compiled import entry
-from localiser.landmarks import LandmarkMap, in_view_of_cells, kept_with, reach_of
+from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, kept_with, reach_of
 from localiser.observation.association import FEW_SPREAD, Association, camera_poses, expected_from
 from localiser.observation.clutter import EarlierFrame, scene_clutter
 from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame
@@ -158,7 +158,7 @@ class EdgeObservation:
                 visibility[row] = view.visibility
         result = np.empty((len(views), odds.shape[1], count))
 
-        in_cells = entry(in_cells_loop)
+        in_cells, in_view = entry(in_cells_loop), entry(in_view_of_cells_loop)
 
         def weigh(part: slice) -> None:
             """Weigh so few particles that all about them stays in the cache."""
@@ -172,9 +172,7 @@ class EdgeObservation:
             by_heading = np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
             run, order, low, per_unit, shape = in_cells(poses, by_heading)
             half_view_rad = float(np.arctan(widest) + np.abs(some[3]).max())
-            start, item = in_view_of_cells(
-                run, low, per_unit, shape, landmarks, half_view_rad, farthest_m, reach, offset
-            )
+            start, item = in_view(run, low, per_unit, shape, offset, landmarks, half_view_rad, farthest_m, reach)
             result[..., part] = kernel.log_products(
                 poses,
                 order,

@@ -11,20 +11,20 @@ from hypothesis import strategies as st
 
 from localiser import geometry as g
 from localiser.camera import Camera, Mount
+from localiser.geometry.compiled import entry
 from localiser.landmarks import (
     LandmarkMap,
-    Reach,
     SightParameters,
     field_of_view_rad,
     half_view_rad,
     image_heights,
     in_camera,
-    in_view_of_cells,
+    in_view_of_cells_loop,
     reach_of,
     sight,
     visible_length_px,
 )
-from localiser.landmarks.landmark_map import MOST_PIECES, PIECE_M
+from localiser.landmarks.landmark_map import MOST_PIECES, PIECE_M, Reach
 
 MARGIN_NONE = SightParameters(range_max_m=8.0, range_min_m=0.3, length_min_px=20.0, margin_px=0.0)
 
@@ -164,20 +164,22 @@ def test_a_camera_that_is_turned_sees_the_same_landmarks(roll_deg):
     assert field_of_view_rad(turned) == pytest.approx(field_of_view_rad(upright))
 
 
-def listed(points, half_view, range_m):
+def listed(points, half_view, range_m, margin_m=0.5):
     """Return start and item of the lists of cells of 0.5 m and 32 headings, between -4 and 4 m."""
     per_unit, shape = np.array([2.0, 2.0, 32 / (2 * np.pi)]), np.array([16, 16, 32])
     low, every = np.array([-4.0, -4.0, -np.pi]), np.arange(shape.prod() + 1)
-    reach = Reach.of(points, range_m + 0.5)
-    return in_view_of_cells(every, low, per_unit, shape, points, half_view, range_m, reach)
+    reach = Reach.of(points, range_m + margin_m)
+    ahead = (0.0, 0.0, 0.0)
+    return entry(in_view_of_cells_loop)(every, low, per_unit, shape, ahead, points, half_view, range_m, reach)
 
 
 @settings(max_examples=25)
-@given(seed=st.integers(0, 10_000), half_view=st.floats(0.1, 1.5))
-def test_a_cell_lists_every_landmark_that_can_be_in_view(seed, half_view):
+@given(seed=st.integers(0, 10_000), half_view=st.floats(0.1, 1.5), margin_m=st.sampled_from([0.5, 0.1]))
+def test_a_cell_lists_every_landmark_that_can_be_in_view(seed, half_view, margin_m):
+    """Also where cells are larger than the lists are made for."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-4, 4, (30, 2))
-    start, item = listed(points, half_view, 5.0)
+    start, item = listed(points, half_view, 5.0, margin_m)
     poses = rng.uniform([-4, -4, -np.pi], [4, 4, np.pi], (50, 3))
     right, ahead = in_camera(poses, points)
     seen = (np.abs(np.arctan2(right, ahead)) <= half_view) & (np.hypot(right, ahead) <= 5.0)
