@@ -10,7 +10,7 @@ from localiser.evaluate.accuracy import (
 )
 from localiser.evaluate.metrics import ABOUT, DECIMALS, metrics, timing_metrics
 from localiser.evaluate.page import WorstMoments, report_page
-from localiser.evaluate.report import picture_style, save_figure, write_report
+from localiser.evaluate.report import ellipses, picture_style, save_figure, write_report
 from localiser.evaluate.tables import (
     COLUMNS,
     Column,

@@ -28,6 +28,7 @@ from localiser.landmarks import LandmarkMap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import EllipseCollection
     from matplotlib.figure import Figure
 
 # Colours are those of Okabe and Ito, which people with any colour vision can tell apart; lines differ in style too.
@@ -301,19 +302,24 @@ def _set_equal_limits(axes: Axes, box: Array) -> None:
         axis.set_major_locator(MultipleLocator(step))
 
 
-def _draw_ellipses(axes: Axes, track: Track) -> None:
+def ellipses(axes: Axes, centres: Array, covs: Array, sigmas: float, **style: Any) -> EllipseCollection:
+    """Return the ellipses so many sigmas about points (N, 2) with covariances (N, 2, 2)."""
     from matplotlib.collections import EllipseCollection
 
+    variance, directions = np.linalg.eigh(covs)
+    minor, major = 2 * sigmas * np.sqrt(np.maximum(variance, 0)).T
+    angle_deg = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))
+    place: dict[str, Any] = {"units": "xy", "offsets": centres, "offset_transform": axes.transData}
+    return EllipseCollection(major, minor, angle_deg, **place, **style)
+
+
+def _draw_ellipses(axes: Axes, track: Track) -> None:
     known = np.flatnonzero(track.found & np.isfinite(track.covs[:, :2, :2]).all(axis=(1, 2)))
     if not len(known):
         return
     chosen = known[np.unique(np.linspace(0, len(known) - 1, ELLIPSES).astype(int))]
-    variance, directions = np.linalg.eigh(track.covs[chosen, :2, :2])
-    minor, major = 2 * 3 * np.sqrt(np.maximum(variance, 0)).T
-    angle_deg = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))
-    centres: dict[str, Any] = {"units": "xy", "offsets": track.poses[chosen, :2], "offset_transform": axes.transData}
-    style: dict[str, Any] = {"facecolors": BAND, "alpha": 0.22, "zorder": 4}
-    axes.add_collection(EllipseCollection(major, minor, angle_deg, **centres, **style))
+    style = {"facecolors": BAND, "alpha": 0.22, "zorder": 4}
+    axes.add_collection(ellipses(axes, track.poses[chosen, :2], track.covs[chosen, :2, :2], 3.0, **style))
     axes.fill([], [], color=BAND, alpha=0.4, linewidth=0, label="3σ")  # a legend knows no collection of ellipses
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from localiser.evaluate import picture_style, save_figure
+from localiser.evaluate import ellipses, picture_style, save_figure
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, Quality
 from localiser.mapping import ENOUGH, Coverage, FloorPlan, map_from_cells
@@ -97,27 +97,12 @@ def _draw_landmarks(axes: Axes, landmark_map: LandmarkMap) -> None:
 
 
 def _draw_ellipses(axes: Axes, landmark_map: LandmarkMap) -> None:
-    from matplotlib.collections import EllipseCollection
-
     known = np.isfinite(landmark_map.cov).all(axis=(1, 2))
     if not known.any():
         return
-    variance, vectors = np.linalg.eigh(landmark_map.cov[known])
-    diameter = 2 * np.sqrt(_CHI2_95 * np.maximum(variance, 0.0))
-    angle = np.rad2deg(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
-    ellipses: Any = EllipseCollection(
-        diameter[:, 1],
-        diameter[:, 0],
-        angle,
-        units="xy",
-        offsets=landmark_map.points[known],
-        offset_transform=axes.transData,
-        facecolors="#56b4e955",
-        edgecolors="#0072b2",
-        linewidths=0.6,
-        zorder=2,
-    )
-    axes.add_collection(ellipses)
+    centres, covs, sigmas = landmark_map.points[known], landmark_map.cov[known], float(np.sqrt(_CHI2_95))
+    style: dict[str, Any] = {"facecolors": "#56b4e955", "edgecolors": "#0072b2", "linewidths": 0.6, "zorder": 2}
+    axes.add_collection(ellipses(axes, centres, covs, sigmas, **style))
     axes.plot([], [], color="#0072b2", linewidth=0.8, label="95 % of its place")
 
 
