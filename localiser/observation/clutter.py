@@ -120,12 +120,9 @@ def scene_clutter(now: Frame, earlier: Sequence[EarlierFrame]) -> tuple[Array, A
         return grouped, np.ones(count)
     again, expected = np.zeros(count), 0.0
     for index, image in enumerate(images):
-        shown = _missed_by(image, images[:index])
-        again += SEEN_AGAIN * continued_density(now, image) @ shown
-        # Edges that the camera still sees, if they moved by half of the largest parallax.
-        bearing, _, cos, sin = image.frame.clutter[:, :4].T
-        across = (image.motion[0] * cos + image.motion[1] * sin) / NEAREST_M
-        stays = np.abs(wrap_angle(bearing + image.motion[2] - across / 2)) <= half_view
+        shown, (density, bearing) = _missed_by(image, images[:index]), continued_density(now, image)
+        again += SEEN_AGAIN * density @ shown
+        stays = np.abs(wrap_angle(bearing)) <= half_view  # edges that the camera still sees
         expected += SEEN_AGAIN * float(shown @ stays)
     new = max(count - expected, NEW * count)
     spread = max(new, 1.0)  # an image with one edge may show another one next time
@@ -142,7 +139,7 @@ def _missed_by(image: EarlierFrame, others: Sequence[EarlierFrame]) -> Array:
     for other in others:
         since = compose(image.motion, between(other.motion, np.zeros(3)))
         before = EarlierFrame(image.frame, since, max(image.turn_var - other.turn_var, 0.0))
-        missed *= 1.0 / (1.0 + SEEN_AGAIN * continued_density(other.frame, before).sum(axis=0))
+        missed *= 1.0 / (1.0 + SEEN_AGAIN * continued_density(other.frame, before)[0].sum(axis=0))
     return missed
 
 
@@ -152,7 +149,7 @@ def grouped_density(now: Frame) -> Array:
     others, edges = now.clutter.copy(), now.clutter.copy()
     others[:, _VAR], edges[:, _VAR] = 0.0, np.nan_to_num(edges[:, _VAR])
     still = EarlierFrame(now, np.zeros(3), GROUP_RAD**2)
-    density = continued_density(now, still, ROW_PX, edges, others)
+    density, _ = continued_density(now, still, ROW_PX, edges, others)
     np.fill_diagonal(density, 0.0)
     return np.asarray((1.0 + density.sum(axis=1)) / len(edges))
 
@@ -163,8 +160,8 @@ def continued_density(
     end_sigma_px: float = SIGMA_PX,
     edges: Array | None = None,
     before: Array | None = None,
-) -> Array:
-    """Return K (E, B), relative to an even density.
+) -> tuple[Array, Array]:
+    """Return K (E, B), relative to an even density, and the bearings (B,) after half of the largest parallax.
 
     end_sigma_px: of where an edge ends. edges, before: what to take for `Frame.clutter` of both images.
     """
@@ -173,7 +170,7 @@ def continued_density(
     attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), rise])
     end_var = (end_sigma_px / now.camera.focal_px) ** 2 if now.has_ends and then.has_ends else np.inf
     edges, before = now.clutter if edges is None else edges, then.clutter if before is None else before
-    return compiled(continued_loop)(edges, before, image.motion, image.turn_var, attitude, end_var, NEAREST_M, SHORT)
+    return compiled(continued_loop)(edges, before, image.motion, image.turn_var, attitude, end_var)
 
 
 # -- the loop, for numba to compile -----------------------------------------------------------------------------------
@@ -183,26 +180,26 @@ _BEARING, _VAR, _COS, _SIN, _SPAN, _E, _SLOPE, _ROOM, _CUT, _PER_LENGTH = 0, 1, 
 
 
 def continued_loop(
-    now: Array, then: Array, motion: Array, turn_var: float, mount: Array, end_var: float, near_m: float, short: float
-) -> NDArray[np.float64]:
-    """Return K (E, B), how dense edges (E, 14) are that continue earlier ones (B, 14), relative to an even density.
+    now: Array, then: Array, motion: Array, turn_var: float, mount: Array, end_var: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what `continued_density` does of edges (E, 14) and earlier ones (B, 14).
 
     motion: (3,) of the camera since, in its own frame then; turn_var: variance of its turn. mount: (3,) sine and cosine
-    of the camera's tilt now, and by how much it was higher before, over `near_m`. end_var: variance of an end's height;
-    infinite where nothing is known of ends. near_m: things are farther away. short: how often an end is not where the
-    same edge ended before. A density is 0 where something is not known.
+    of the camera's tilt now, and by how much it was higher before, over `NEAREST_M`. end_var: variance of an end's
+    height; infinite where nothing is known of ends. A density is 0 where something is not known.
 
     The camera comes nearer to an edge by `approach` of the nearest distance. An end at upright height e of a thing at
     distance D has the slope t = (e c - s) / (c + e s), which grows by t · approach / D. A camera that was mounted
     higher by h sees it lower by h / D.
     """
-    result = np.zeros((len(now), len(then)))
+    result, bearing = np.zeros((len(now), len(then))), np.empty(len(then))
     right, back, turn = motion[0], motion[1], motion[2]
     s, c, rise = mount[0], mount[1], mount[2]
     for j in range(len(then)):
-        across = (right * then[j, _COS] + back * then[j, _SIN]) / near_m
-        approach = (right * then[j, _SIN] - back * then[j, _COS]) / near_m
-        expected, variance = then[j, _BEARING] + turn - across / 2, then[j, _VAR] + turn_var + across * across / 12
+        across = (right * then[j, _COS] + back * then[j, _SIN]) / NEAREST_M
+        approach = (right * then[j, _SIN] - back * then[j, _COS]) / NEAREST_M
+        bearing[j] = expected = then[j, _BEARING] + turn - across / 2
+        variance = then[j, _VAR] + turn_var + across * across / 12
         for i in range(len(now)):
             error = now[i, _BEARING] - expected
             error -= 2 * np.pi * np.floor((error + np.pi) / (2 * np.pi))
@@ -220,9 +217,9 @@ def continued_loop(
                     spread = shift * shift / 12 + end_var
                     at = np.exp(-0.5 * off * off / spread) / np.sqrt(2 * np.pi * spread)
                     at = at if np.isfinite(at) else 0.0
-                    alike = short * min(room * then[j, _PER_LENGTH], 1.0) + (1.0 - short) * room * at
+                    alike = SHORT * min(room * then[j, _PER_LENGTH], 1.0) + (1.0 - SHORT) * room * at
                     if now[i, _CUT + end] > 0:  # the border ends an edge wherever the thing itself does
-                        alike = 1.0 if then[j, _CUT + end] > 0 else short
+                        alike = 1.0 if then[j, _CUT + end] > 0 else SHORT
                     density *= alike
             result[i, j] = density
-    return result
+    return result, bearing

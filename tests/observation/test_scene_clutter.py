@@ -231,7 +231,9 @@ def test_edges_continue_those_of_an_earlier_image(kind, with_ends, mount):
         expected *= ends_alike(edges, others, ahead / NEAREST_M, SIGMA_PX)
     expected = np.nan_to_num(expected)
     assert (expected > 1.0).sum() > 10 and not expected[-1].any()
-    np.testing.assert_allclose(continued_density(edges, image), expected, rtol=1e-9, atol=1e-12)
+    found, moved = continued_density(edges, image)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(moved, earlier + turn - across / 2, rtol=1e-12)
 
 
 @pytest.mark.parametrize("with_ends", [True, False], ids=["ends", "no ends"])
