@@ -68,7 +68,7 @@ MECHANISMS: dict[str, Patch] = {
     "scene-clutter": _all(
         *(_set(f"filter.{one}:scene_clutter", lambda now, _: np.ones((2, len(now.edges)))) for one in ("mcl", "scene"))
     ),
-    "polarity": _all(_set("observation.frame:MEAN_POLARITY", 0.0), _set("observation.association:MEAN_POLARITY", 0.0)),
+    "polarity": _set("observation.frame:MEAN_POLARITY", 0.0),
     "history": _set("relocalisation.candidates:SCENES", 1),
     "fourth-root": _set("relocalisation.candidates:EVENNESS", 1.0),
     "limits": _set("filter.belief:SUPPORTED", np.inf),

@@ -410,7 +410,7 @@ def _located(
     cloud, estimate, clusters = belief.places(weighed)
     p_correct = belief.p_correct(cloud, estimate.pose, is_tracked=weighed is not None)
     if mcl.edges is not None:
-        association = mcl.edges.associate(estimate.pose_as_seen, image.sighting, mcl.landmark_map)
+        association = mcl.edges.associate(estimate.pose_as_seen, image.sighting, mcl.landmark_map, weighed)
     located = Located(
         t_ns=measured.t_ns,
         estimate=estimate,
@@ -440,7 +440,7 @@ def _clutter(
     """Return how probably each edge (E,) is of nothing on the map; None where no place is tracked."""
     if association is None or weighed is None:
         return None
-    return 1.0 - located.p_correct * (1.0 - association.over(weighed).clutter(state.inliers.mean))
+    return 1.0 - located.p_correct * (1.0 - association.clutter(state.inliers.mean))
 
 
 def _resampled(

@@ -8,8 +8,8 @@ where the last image showed the same thing (`clutter`):
 
 q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
 observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
-c_el compares where the edge ends with where the landmark does (`association`), and their polarities: the rim of a
-picture, high on a wall, is no door jamb.
+c_el compares where the edge ends with where the landmark does, and their polarities: the rim of a picture, high on a
+wall, is no door jamb.
 
 How many edges are clutter differs from place to place, so w is not a parameter. The likelihood is computed for every
 inlier rate of `inlier_rate`, which learns their distribution and integrates them out.
@@ -29,7 +29,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,13 +37,13 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.geometry.compiled import entry
-from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, kept_with, reach_of
-from localiser.observation.association import FEW_SPREAD, Association, camera_poses, expected_from
+from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, reach_of
+from localiser.observation.association import FEW_SPREAD, Association, kernel_inputs, poses_of
 from localiser.observation.clutter import EarlierFrame, scene_clutter
-from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame
+from localiser.observation.frame import Frame
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import ObservationParameters, Sighting
-from localiser.particles import CAMERA_YAW, POSE, Particles, take
+from localiser.particles import POSE, Particles, take
 
 FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
 _CELL = (0.5, 0.5, 2 * np.pi / 32)  # m, m, rad; larger where particles are few
@@ -138,13 +137,11 @@ class EdgeObservation:
         frame, count = self.frame(sighting.edges), particles.columns.shape[1]
         if not len(frame.edges.bearing):
             return [np.zeros((len(view.rates), count)) for view in views]
-        yaw = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else np.zeros(count)
-        columns, threads, mount = np.vstack([particles.columns[:3], yaw]), self.parameters.threads, frame.camera.mount
-        (rows, by_angle, bins, largest_var), (image, limits) = frame.table(landmark_map, blur_rad), frame.sight
-        farthest_m, widest = frame.far.range_max_m, limits[3]
-        sigma_m = self.parameters.landmark_sigma_m
-        landmarks = kept_with(landmark_map, ("table", sigma_m), lambda: landmark_table(landmark_map, sigma_m))
-        reach, offset = reach_of(landmark_map, farthest_m), (mount.right_m, mount.back_m, mount.yaw_rad)
+        threads, poses = self.parameters.threads, poses_of(particles)
+        by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map, blur_rad)
+        offset, _, landmarks, rows = inputs[:4]
+        farthest_m, widest = frame.far.range_max_m, frame.sight[1][3]
+        reach = reach_of(landmark_map, farthest_m)
         if len(views) > _VIEWS:
             raise ValueError(f"expected at most {_VIEWS} views, found {len(views)}")
         each, odds = np.zeros((len(views), 2), dtype=np.int64), np.zeros((len(views), _LANES))
@@ -164,37 +161,16 @@ class EdgeObservation:
             """Weigh so few particles that all about them stays in the cache."""
             from localiser.observation import likelihood_kernel as kernel
 
-            some = columns[:, part]
+            some = poses[part]
             # By heading, so that the same edges are near those beside each other. Numbers of 16 bits are sorted several
             # times as fast, and are fine enough: no result depends on the order.
-            heading, poses = some[2] + some[3], some.T.copy()
+            heading = some[:, 2] + some[:, 3]
             low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
             by_heading = np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
-            run, order, low, per_unit, shape = in_cells(poses, by_heading)
-            half_view_rad = float(np.arctan(widest) + np.abs(some[3]).max())
+            run, order, low, per_unit, shape = in_cells(some, by_heading)
+            half_view_rad = float(np.arctan(widest) + np.abs(some[:, 3]).max())
             start, item = in_view(run, low, per_unit, shape, offset, landmarks, half_view_rad, farthest_m, reach)
-            result[..., part] = kernel.log_products(
-                poses,
-                order,
-                run,
-                offset,
-                (mount.height_m, sighting.map_scale),
-                start,
-                item,
-                landmarks,
-                visibility,
-                odds,
-                each,
-                rare,
-                rows,
-                *bins,
-                image,
-                limits,
-                (GATE_SIGMAS, largest_var),
-                (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed),
-                frame.span_rad,
-                self.parameters.kind == "slope",
-            )
+            result[..., part] = kernel.log_products(some, order, run, start, item, visibility, odds, each, rare, inputs)
 
         size = min(max(-(-count // threads), _PER_THREAD), _PART)
         parts = [slice(begin, begin + size) for begin in range(0, count, size)]
@@ -211,22 +187,22 @@ class EdgeObservation:
         angle = np.zeros(1)
         sighting = Sighting(0, Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01))
         one = Particles(POSE, np.zeros((3, 1)), angle)
-        self.by_rate(one, sighting, LandmarkMap.from_points(np.array([[0.0, -3.0]])))
+        landmark_map = LandmarkMap.from_points(np.array([[0.0, -3.0]]))
+        self.by_rate(one, sighting, landmark_map)
+        self.associate_cloud(one, sighting, landmark_map)
         frame = self.frame(sighting.edges)
         scene_clutter(frame, [EarlierFrame(frame, np.zeros(3), 0.0)])
 
     # -- association ------------------------------------------------------------------------------------------------
 
     def associate(
-        self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, particles: Particles | None = None
+        self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, cloud: Particles | None = None
     ) -> Association:
         """Return how the edges compare with the landmarks that are seen from one robot pose (3,).
 
-        particles: whose mean pose it is; see `Association.over`.
+        cloud: whose mean pose it is.
         """
-        frame = self.frame(sighting.edges)
-        expected = expected_from(frame, frame.camera.pose_in_map(pose[None]), landmark_map, sighting.map_scale)
-        return Association.of(frame, sighting, landmark_map, expected, particles)
+        return Association.of(self.frame(sighting.edges), sighting, landmark_map, np.append(pose, 0.0), cloud)
 
     def associate_cloud(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
         """Return how the edges compare with the landmarks seen from the mean pose of particles, over all poses."""
@@ -237,37 +213,28 @@ class EdgeObservation:
 
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
-        few = take(particles, np.linspace(0, len(particles) - 1, FEW_SPREAD).astype(np.int64))
+        few = poses_of(take(particles, np.linspace(0, len(particles) - 1, FEW_SPREAD).astype(np.int64)))
         frame = self.frame(sighting.edges)
-        expected = expected_from(frame, camera_poses(frame.camera, few), landmark_map, sighting.map_scale)
-        times = np.bincount(expected.landmark, minlength=len(landmark_map))
+        seen = [Association.of(frame, sighting, landmark_map, pose) for pose in few]
+        landmark, angle, map_var = (
+            np.concatenate(column)
+            for column in zip(*((one.landmark, one.angle, one.map_var) for one in seen), strict=True)
+        )
+        times = np.bincount(landmark, minlength=len(landmark_map))
         often = times >= FEW_SPREAD / 2
         variance = frame.measured[1]
         if not often.any() or not np.isfinite(variance).any():
             return 0.0, np.inf
         mean, square = (
-            np.bincount(expected.landmark, power, minlength=len(times))[often] / times[often]
-            for power in (expected.angle, expected.angle**2)
+            np.bincount(landmark, power, minlength=len(times))[often] / times[often] for power in (angle, angle**2)
         )
-        sigma = np.sqrt(np.nanmedian(variance) + np.median(np.sqrt(expected.variance)) ** 2)
+        sigma = np.sqrt(np.nanmedian(variance) + np.median(np.sqrt(map_var)) ** 2)
         return float(np.sqrt(np.median(np.maximum(square - mean**2, 0.0)))), float(sigma)
 
 
 @lru_cache(FRAMES)
 def _frame(observation: EdgeObservation, edges: Edges) -> Frame:
     return Frame(edges, observation.camera.at(edges.mount), observation.parameters)
-
-
-def landmark_table(landmark_map: LandmarkMap, sigma_m: float) -> Array:
-    """Return the landmarks (L, 6) as the loop takes them, heights (m) and sigmas (m) as the map has them."""
-    columns: list[NDArray[Any]] = [
-        landmark_map.points,
-        np.nan_to_num(landmark_map.bottom_m, nan=-UNKNOWN),
-        np.nan_to_num(landmark_map.top_m, nan=UNKNOWN),
-        landmark_map.sigma_m(sigma_m),
-        landmark_map.polarity,
-    ]
-    return np.ascontiguousarray(np.column_stack(columns))
 
 
 # -- a loop, for numba to compile --------------------------------------------------------------------------------------

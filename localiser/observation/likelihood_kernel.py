@@ -105,7 +105,8 @@ def _look(
 ) -> None:
     """Write how a block of cameras sees one landmark: the expected angle, its variance, ends, bins of edges near it.
 
-    The same as `landmarks.sight`, with every division by the image's border multiplied out.
+    The same as `landmarks.sight`, with every division by the image's border multiplied out. Cameras that have it behind
+    them expect no angle. For those that do not see it, it lies above all edges, and is in the open with probability 0.
     """
     x, z, bottom, top, position_var = landmark
     nearest, farthest, open_sq, widest = limits
@@ -157,10 +158,11 @@ def _look(
         first, last = (first if first > 0 else 0.0), (last if last > 0 and visible else 0.0)
         first, last = (first if first < last_bin and visible else last_bin), (last if last < last_bin else last_bin)
         block[_FIRST, m], block[_END, m] = first, last
-        block[_ANGLE, m], block[_VARIANCE, m] = (angle if visible else np.inf), variance
+        block[_ANGLE, m], block[_VARIANCE, m] = (angle if ahead > 0 else np.inf), variance
         nearness = open_sq / square if square > open_sq else 1.0
         block[_OPEN, m] = nearness * nearness if visible else 0.0
-        block[_FOOT, m], block[_TOP, m] = (foot_e if foot_e > e_low else -np.inf), (top_e if top_e < e_high else np.inf)
+        foot_e = foot_e if foot_e > e_low else -np.inf
+        block[_FOOT, m], block[_TOP, m] = (foot_e if visible else np.inf), (top_e if top_e < e_high else np.inf)
         block[_PER_VISIBLE, m] = 1.0 / (length if length > 0 else 1.0)
 
 
@@ -214,9 +216,13 @@ def _normal(y: float) -> float:
 def _end(
     measured: Any, room: float, peak: float, block: Array, lanes: int, rows: Any, missed: float, is_unknown: bool
 ) -> None:
-    """Write how much likelier one end of an edge is if it is the landmark's: the equation of `association`.
+    """Write how much likelier one end of an edge is if it is the landmark's.
 
-    An end without a peak, which the image's border made, takes half as long.
+        m min(R_e / v_l, 1) + (1 - m) R_e N(e; e_l(pose), σ²)
+
+    An edge either reaches where its landmark ends, or ends anywhere on the v_l that the image shows of it (m), while
+    the density of clutter's ends is 1 / R_e there (`frame`). An end of a landmark beyond the image's border cannot be
+    reached: min(R_e / v_l, 1) is left. An end without a peak, which the border made, takes half as long.
     """
     e, per_sigma = measured
     expected, at = rows
@@ -232,7 +238,10 @@ def _end(
 
 @inlined
 def _weigh(edge: Any, block: Array, lanes: int, ends: Any, hidden: Any, alike: float) -> None:
-    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and the landmark, 0 where they are no pair."""
+    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and the landmark, 0 where they are no pair.
+
+    c_el is the squared part of the edge that lies between the landmark's ends, times `_end` for each, and polarity.
+    """
     low, high = (edge[_LOW], edge[_PER_SIGMA_LOW]), (edge[_HIGH], edge[_PER_SIGMA_HIGH])
     _end(low, edge[_ROOM_LOW], edge[_PEAK_LOW], block, lanes, (_FOOT, _AT_FOOT), ends[1], hidden[0])
     _end(high, edge[_ROOM_HIGH], edge[_PEAK_HIGH], block, lanes, (_TOP, _AT_TOP), ends[1], hidden[1])
@@ -325,24 +334,13 @@ def log_products(
     poses: Array,
     order: Indices,
     run: Indices,
-    offset: tuple[float, float, float],
-    at: tuple[float, float],
     start: Indices,
     item: NDArray[np.int32],
-    landmarks: Array,
     visibility: Array,
     odds: Array,
     views: Indices,
     rare: Array,
-    edges: Array,
-    first: Indices,
-    bins: tuple[float, float, float],
-    camera: tuple[float, ...],
-    limits: tuple[float, float, float, float],
-    gate: tuple[float, float],
-    ends: tuple[float, float],
-    span: float,
-    is_slope: bool,
+    inputs: Any,
 ) -> Array:
     """Return the log-likelihood (V, LANES, N) in V views of every pose (N, 4), relative to clutter.
 
@@ -355,16 +353,16 @@ def log_products(
     where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it. An
     edge of known identity belongs to that landmark or is clutter: n is 1 for it at inlier rates.
 
-    at: the camera's height (m) and by how much farther landmarks stand from their places than the map says.
-    visibility: (V, L) this probability. odds: (V, LANES) o_k of ascending rates. views: (V, 2) of each view how many
-    rates it has, and whether they are inlier rates. rare: (V, E) 1 / clutter_e.
+    inputs: the image and the map, see `association.kernel_inputs`. visibility: (V, L) this probability. odds:
+    (V, LANES) o_k of ascending rates. views: (V, 2) of each view how many rates it has, and whether they are inlier
+    rates. rare: (V, E) 1 / clutter_e.
     """
+    offset, (height_m, map_scale), landmarks, edges, first, bins, camera, limits, gate, ends, span, is_slope = inputs
     block = np.ones((_SEEN + VIEWS, BLOCK))
     density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
     factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
     result, per_density = np.zeros((len(views), LANES, len(poses))), span / np.sqrt(2 * np.pi)
     log_unseen = np.log1p(odds)  # at inlier rates
-    height_m, map_scale = at
     for c in range(len(run) - 1):
         for n in range(run[c], run[c + 1], BLOCK):
             size = min(BLOCK, run[c + 1] - n)
@@ -372,13 +370,9 @@ def log_products(
             _place(poses, order, n, size, lanes, offset, block)
             _begin(block, density, is_near)
             for k in item[start[c] : start[c + 1]]:
-                bottom, top, sigma_m = (
-                    landmarks[k, 2] - height_m,
-                    landmarks[k, 3] - height_m,
-                    map_scale * landmarks[k, 4],
-                )
-                landmark = (landmarks[k, 0], landmarks[k, 1], bottom, top, sigma_m * sigma_m)
-                hidden, leaning = (bottom <= -UNKNOWN_M, top >= UNKNOWN_M), landmarks[k, 5]
+                one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
+                landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, sigma_m * sigma_m)
+                hidden, leaning = (one[2] <= -UNKNOWN_M, one[3] >= UNKNOWN_M), one[5]
                 _look(block, lanes, landmark, limits, camera, gate, bins, is_slope)
                 _count(block, lanes, visibility, k)
                 begin, end = _edges_near(block, lanes, first)
@@ -409,3 +403,57 @@ def log_products(
                         )
                         result[view, k, order[n + m]] = log_factor[k, m] - len(edges) * unseen
     return result
+
+
+@entry
+def associate(poses: Array, order: Indices, weight: Array, item: NDArray[np.int32], inputs: Any) -> tuple[Array, Array]:
+    """Return the landmarks that the first two of the poses (N, 4), which are the same, see, and the edges near them.
+
+    Rows (K, 5) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
+    its variance by the map (rad²), probability that no wall is before it. Rows (P, 5) of pairs: row of the landmark,
+    row of the edge, residual (rad), odds from the pose and over all poses (see `association.Association`).
+
+    Over all poses, an angle has the variance too of what the others predict which face the landmark. order: 0 … N - 1.
+    weight: (N,) of the poses, the first two not counted. item: landmarks to look at. inputs: as for `log_products`.
+    """
+    offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = inputs
+    block = np.ones((_SEEN + VIEWS, len(poses)))
+    seen, pairs = np.empty((len(item), 5)), np.empty((len(item) * len(edges), 5))
+    shown, used, in_view, per_density = 0, 0, 0.0, span / np.sqrt(2 * np.pi)
+    _place(poses, order, 0, len(poses), len(poses), offset, block)
+    for k in item:
+        one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
+        landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, 1.0)
+        hidden, leaning = (one[2] <= -UNKNOWN_M, one[3] >= UNKNOWN_M), one[5]
+        block[_OPEN, 0] = 1.0
+        for lanes in (1, len(poses)):  # what the first does not see, the others need not look at
+            if block[_OPEN, 0] > 0:
+                _look(block, lanes, landmark, limits, camera, gate, bins, is_slope)
+        if block[_OPEN, 0] == 0:
+            continue
+        angle, per_m_sq, is_open = block[_ANGLE, 0], block[_VARIANCE, 0], block[_OPEN, 0]
+        total, mean, square = 1e-300, 0.0, 0.0
+        for m in range(2, len(poses)):
+            apart = block[_ANGLE, m] - angle
+            if apart < np.inf:
+                total, mean, square = total + weight[m], mean + weight[m] * apart, square + weight[m] * apart * apart
+        variance = sigma_m * sigma_m * per_m_sq
+        block[_VARIANCE, 0] = variance
+        block[_VARIANCE, 1] = variance + max(square / total - (mean / total) ** 2, 0.0)
+        for e in range(len(edges)):
+            edge = edges[e]
+            if edge[_IDENTITY] >= 0 and edge[_IDENTITY] != k:
+                continue
+            if _meet(edge, block, 2, ends[0]) > 0:
+                _weigh(edge, block, 2, ends, hidden, 1.0 + edge[_POLARITY] * leaning)
+                pairs[used, 0], pairs[used, 1], pairs[used, 2] = shown, e, block[_RESIDUAL, 0]
+                for m in range(2):
+                    pairs[used, 3 + m] = per_density * is_open * block[_DENSITY, m]
+                used += 1
+        seen[shown, 0], seen[shown, 1], seen[shown, 2] = k, angle, np.sqrt(per_m_sq)
+        seen[shown, 3], seen[shown, 4] = variance, is_open
+        shown, in_view = shown + 1, in_view + is_open
+    for p in range(used):
+        if edges[int(pairs[p, 1]), _IDENTITY] < 0:
+            pairs[p, 3:] /= max(in_view, 1.0)
+    return seen[:shown], pairs[:used]

@@ -1,4 +1,4 @@
-"""The compiled likelihood against the same model with arrays."""
+"""The compiled likelihood against the same model by plain loops."""
 
 from dataclasses import replace
 
@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plain_likelihood import by_rate_plain
+from plain_likelihood import by_rate_plain, camera_poses, plain_pairs
 
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, sight
+from localiser.landmarks import LandmarkMap, SightParameters, in_camera, sight
 from localiser.observation import DETECTION_RATES, INLIER_RATES, EdgeObservation, ObservationParameters, Sighting, View
-from localiser.observation.association import camera_poses
 from localiser.observation.frame import bins_of
-from localiser.particles import POSE, Particles
+from localiser.particles import CAMERA_YAW, POSE, Particles
 
 FOCAL = 554.0
 # Pairs beyond six sigmas add less than 1e-8 of a peak each; log-weights may differ by that over many edges.
@@ -76,8 +75,49 @@ def test_compiled_and_plain_agree(seed: int, tilt_deg: float, kind: str, ends: b
     rng = np.random.default_rng(seed)
     observation = EdgeObservation(camera(tilt_deg, 2.0), ObservationParameters(kind=kind))  # type: ignore[arg-type]
     landmark_map = some_map(rng, int(rng.integers(1, 60)))
-    particles = cloud(rng, 60)
+    particles = cloud(rng, 20)
     assert difference(observation, particles, some_edges(rng, count, ends), landmark_map).max() < HARMLESS
+
+
+@settings(max_examples=40)
+@given(
+    seed=st.integers(0, 10_000),
+    tilt_deg=st.sampled_from([-15.0, 5.0, 20.0]),
+    kind=st.sampled_from(["line", "slope"]),
+    ends=st.booleans(),
+    landmarks=st.sampled_from([3, 60, 3000]),
+)
+def test_pairs_of_one_pose_agree(seed: int, tilt_deg: float, kind: str, ends: bool, landmarks: int) -> None:
+    """From one pose, and as uncertain as the angles are that a cloud expects."""
+    rng = np.random.default_rng(seed)
+    parameters = ObservationParameters(kind=kind, sight=SightParameters(range_max_m=3.0, range_far_m=5.0))  # type: ignore[arg-type]
+    observation, landmark_map = EdgeObservation(camera(tilt_deg, 2.0), parameters), some_map(rng, landmarks)
+    sighting = Sighting(0, some_edges(rng, 12, ends), map_scale=2.0)
+    poses = rng.normal(0.0, [0.3, 0.3, 0.1], (70, 3))
+    wide = Particles((*POSE, CAMERA_YAW), np.vstack([poses.T, rng.normal(0, 0.02, 70)]), rng.normal(0, 1, 70))
+    right, ahead = in_camera(camera_poses(observation.camera, wide), landmark_map.points)
+    angle, _ = observation.frame(sighting.edges).predicted(right / ahead)
+    weight = wide.weight[:, None] * (ahead > 0) / np.maximum(wide.weight @ (ahead > 0), 1e-300)
+    spread = (weight * (angle - (weight * angle).sum(axis=0)) ** 2).sum(axis=0)
+    found, camera_pose = (
+        observation.associate(np.zeros(3), sighting, landmark_map, wide),
+        observation.camera.robot_from_level,
+    )
+    rows = list(zip(found.edge.tolist(), found.landmark[found.pair].tolist(), strict=True))
+    assert len(set(rows)) == len(rows)
+    for odds, more_var in ((found.odds, np.zeros(landmarks)), (found.cloud_odds, spread)):
+        pairs, is_open = plain_pairs(observation, camera_pose, sighting, landmark_map, more_var)
+        per_density = observation.frame(sighting.edges).span_rad / max(sum(is_open.values()), 1.0)
+        assert found.landmark.tolist() == sorted(is_open)
+        assert found.in_the_open == pytest.approx([is_open[k] for k in found.landmark.tolist()], rel=1e-9)
+        variance = found.map_var[found.pair] + observation.frame(sighting.edges).measured[1][found.edge]
+        told = dict(zip(rows, zip(found.residual, variance, odds, strict=True), strict=True))
+        assert set(rows) <= set(pairs) or more_var is not spread
+        for (e, k), (residual, total_var, density) in pairs.items():
+            # Not among the rows where the ends do not overlap.
+            found_as = told.get((e, k), (residual, total_var - more_var[k], 0.0))
+            assert found_as[:2] == pytest.approx((residual, total_var - more_var[k]), rel=1e-5, abs=1e-7)
+            assert found_as[2] == pytest.approx(per_density * is_open[k] * density, rel=1e-3, abs=1e-7 * per_density)
 
 
 @pytest.mark.parametrize("kind", ["line", "slope"])
