@@ -115,12 +115,8 @@ class EdgeObservation:
     ) -> Array:
         """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to all edges being clutter.
 
-        The edges are a Poisson process. E of them are expected to be clutter, and each of the n landmarks in view shows
-        p edges on average. Given the number of edges,
-
-            p(edges | pose, p) ∝ Π_e [E / span + p Σ_l c_el N(q_e; q_l(pose), σ_el²)] / (E + p n)^E
-
-        So a pose that sees no landmark explains the edges as well as clutter does. Clutter is that of the scene.
+        The edges are a Poisson process, see `likelihood_kernel.log_products`: a pose that sees no landmark explains
+        them as well as clutter does. Clutter is that of the scene.
         """
         view = View(DETECTION_RATES, False, sighting.scene)
         return self.by_views(particles, sighting, landmark_map, [view], blur_rad)[0]
