@@ -84,11 +84,11 @@ class Association:
     """How edges (E) compare with the landmarks (K) that are seen from one pose: P pairs near each other.
 
     landmark: (K,) indices. angle: (K,) at which each is expected (rad), per_m: (K,) how fast that changes as it is
-    moved aside (rad/m), map_var: (K,) its variance by the map (rad²). in_the_open: (K,) probability that no wall hides
-    it. pair: (P,) index into these, edge: (P,). residual: (P,) measured minus expected angle (rad). odds: (P,) that the
-    edge is this landmark's, against clutter that is spread evenly, at an inlier rate of ½. cloud_odds: (P,) the same
-    over the poses of a cloud about the pose: an angle is then also as uncertain as what those predict that face the
-    landmark.
+    moved aside (rad/m), map_var, cloud_var: (K,) its variances by the map and over the poses of a cloud about the pose
+    that face the landmark (rad²). in_the_open: (K,) probability that no wall hides it. pair: (P,) index into these,
+    edge: (P,). residual: (P,) measured minus expected angle (rad). odds: (P,) that the edge is this landmark's, against
+    clutter that is spread evenly, at an inlier rate of ½. cloud_odds: (P,) the same where the angle is as uncertain
+    over the cloud, too.
     """
 
     frame: Frame
@@ -98,6 +98,7 @@ class Association:
     angle: Array
     per_m: Array
     map_var: Array
+    cloud_var: Array
     in_the_open: Array
     pair: Indices
     edge: Indices

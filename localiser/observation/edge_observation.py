@@ -38,12 +38,12 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, reach_of
-from localiser.observation.association import FEW_SPREAD, Association, kernel_inputs, poses_of
+from localiser.observation.association import Association, kernel_inputs, poses_of
 from localiser.observation.clutter import EarlierFrame, scene_clutter
 from localiser.observation.frame import Frame
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import ObservationParameters, Sighting
-from localiser.particles import POSE, Particles, take
+from localiser.particles import POSE, Particles
 
 FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
 _CELL = (0.5, 0.5, 2 * np.pi / 32)  # m, m, rad; larger where particles are few
@@ -209,23 +209,14 @@ class EdgeObservation:
 
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
-        few = poses_of(take(particles, np.linspace(0, len(particles) - 1, FEW_SPREAD).astype(np.int64)))
-        frame = self.frame(sighting.edges)
-        seen = [Association.of(frame, sighting, landmark_map, pose) for pose in few]
-        landmark, angle, map_var = (
-            np.concatenate(column)
-            for column in zip(*((one.landmark, one.angle, one.map_var) for one in seen), strict=True)
+        found, variance = (
+            self.associate_cloud(particles, sighting, landmark_map),
+            self.frame(sighting.edges).measured[1],
         )
-        times = np.bincount(landmark, minlength=len(landmark_map))
-        often = times >= FEW_SPREAD / 2
-        variance = frame.measured[1]
-        if not often.any() or not np.isfinite(variance).any():
+        if not len(found.landmark) or not np.isfinite(variance).any():
             return 0.0, np.inf
-        mean, square = (
-            np.bincount(landmark, power, minlength=len(times))[often] / times[often] for power in (angle, angle**2)
-        )
-        sigma = np.sqrt(np.nanmedian(variance) + np.median(np.sqrt(map_var)) ** 2)
-        return float(np.sqrt(np.median(np.maximum(square - mean**2, 0.0)))), float(sigma)
+        sigma = np.sqrt(np.nanmedian(variance) + np.median(found.map_var))
+        return float(np.sqrt(np.median(found.cloud_var))), float(sigma)
 
 
 @lru_cache(FRAMES)

@@ -409,16 +409,17 @@ def log_products(
 def associate(poses: Array, order: Indices, weight: Array, item: NDArray[np.int32], inputs: Any) -> tuple[Array, Array]:
     """Return the landmarks that the first two of the poses (N, 4), which are the same, see, and the edges near them.
 
-    Rows (K, 5) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
-    its variance by the map (rad²), probability that no wall is before it. Rows (P, 5) of pairs: row of the landmark,
-    row of the edge, residual (rad), odds from the pose and over all poses (see `association.Association`).
+    Rows (K, 6) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
+    its variances by the map and over those of the other poses that face the landmark (rad²), probability that no wall
+    is before it. Rows (P, 5) of pairs: row of the landmark, row of the edge, residual (rad), odds from the pose and
+    over all poses (see `association.Association`).
 
-    Over all poses, an angle has the variance too of what the others predict which face the landmark. order: 0 … N - 1.
-    weight: (N,) of the poses, the first two not counted. item: landmarks to look at. inputs: as for `log_products`.
+    order: 0 … N - 1. weight: (N,) of the poses, the first two not counted. item: landmarks to look at. inputs: as for
+    `log_products`.
     """
     offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = inputs
     block = np.ones((_SEEN + VIEWS, len(poses)))
-    seen, pairs = np.empty((len(item), 5)), np.empty((len(item) * len(edges), 5))
+    seen, pairs = np.empty((len(item), 6)), np.empty((len(item) * len(edges), 5))
     shown, used, in_view, per_density = 0, 0, 0.0, span / np.sqrt(2 * np.pi)
     _place(poses, order, 0, len(poses), len(poses), offset, block)
     for k in item:
@@ -437,9 +438,8 @@ def associate(poses: Array, order: Indices, weight: Array, item: NDArray[np.int3
             apart = block[_ANGLE, m] - angle
             if apart < np.inf:
                 total, mean, square = total + weight[m], mean + weight[m] * apart, square + weight[m] * apart * apart
-        variance = sigma_m * sigma_m * per_m_sq
-        block[_VARIANCE, 0] = variance
-        block[_VARIANCE, 1] = variance + max(square / total - (mean / total) ** 2, 0.0)
+        by_map, by_pose = sigma_m * sigma_m * per_m_sq, max(square / total - (mean / total) ** 2, 0.0)
+        block[_VARIANCE, 0], block[_VARIANCE, 1] = by_map, by_map + by_pose
         for e in range(len(edges)):
             edge = edges[e]
             if edge[_IDENTITY] >= 0 and edge[_IDENTITY] != k:
@@ -451,7 +451,7 @@ def associate(poses: Array, order: Indices, weight: Array, item: NDArray[np.int3
                     pairs[used, 3 + m] = per_density * is_open * block[_DENSITY, m]
                 used += 1
         seen[shown, 0], seen[shown, 1], seen[shown, 2] = k, angle, np.sqrt(per_m_sq)
-        seen[shown, 3], seen[shown, 4] = variance, is_open
+        seen[shown, 3], seen[shown, 4], seen[shown, 5] = by_map, by_pose, is_open
         shown, in_view = shown + 1, in_view + is_open
     for p in range(used):
         if edges[int(pairs[p, 1]), _IDENTITY] < 0:
