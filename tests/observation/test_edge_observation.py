@@ -5,6 +5,8 @@ from math import comb
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from plain_likelihood import compared, plain_pairs
 from simulated_edges import EdgeNoise, simulated_edges
 
@@ -147,7 +149,9 @@ def test_scales_are_the_spread_of_predictions_and_the_sigma_of_measuring(kind: s
     assert observation.scales(away, Sighting(0, edges), landmark_map) == (0.0, np.inf)
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("line", 0), ("line", 1), ("slope", 0), ("slope", 1)])
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10_000))
 def test_the_true_pose_is_the_best_for_edges_without_noise(kind: str, seed: int) -> None:
     rng, truth = np.random.default_rng(seed), Trajectory(np.zeros(1, dtype=np.int64), POSE_TRUE[None])
     landmark_map, steps = some_map(rng, 25), rng.normal(size=(31, 3)) * [0.3, 0.3, 0.1]
