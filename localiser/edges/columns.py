@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -54,20 +53,6 @@ class GradientField:
     noise_grey: float
     smooth_sigma: float
     grey: NDArray[np.float32]
-
-
-class Peaks(NamedTuple):
-    """Peaks of a gradient field, P of them, sorted by row.
-
-    row: block. column, position: whole and sub-pixel. polarity: as `Edges`. chain: to which each belongs. A peak goes
-    on from one in the block above when each is the other's nearest of its polarity, at most a column off.
-    """
-
-    row: NDArray[np.int64]
-    column: NDArray[np.int64]
-    position: Array
-    polarity: NDArray[np.int8]
-    chain: NDArray[np.int64]
 
 
 def gradient_field(image: Image, camera: Camera) -> GradientField:
@@ -129,8 +114,12 @@ def unseen_blocks(camera: Camera) -> tuple[NDArray[np.bool_], NDArray[np.bool_],
     return np.asarray(unseen), np.asarray(~beside), np.flatnonzero(~unseen)[::17]
 
 
-def peaks_of(field: GradientField) -> Peaks:
-    """Return where the size of the smoothed gradient has a peak along its row, and how peaks go on from row to row."""
+def peaks_of(field: GradientField) -> tuple[NDArray[np.int64], Array, NDArray[np.int8], NDArray[np.int64]]:
+    """Return block, sub-pixel position, polarity as in `Edges`, and chain (P,) of the peaks along rows, sorted by row.
+
+    That is where the smoothed gradient is largest. A peak goes on from one in the block above when each is the other's
+    nearest of its polarity, at most a column off.
+    """
     (rows, width), smooth = field.smooth.shape, field.smooth.ravel()
     size, least = np.abs(smooth), np.float64(PEAK_SIGMA * field.smooth_sigma)
     # Row after row: none begins or ends with what can have a peak.
@@ -141,7 +130,7 @@ def peaks_of(field: GradientField) -> Peaks:
     left, here, right = (smooth[place + by].astype(np.float64) * polarity for by in (-1, 0, 1))
     position = column + (right - left) / (2 * (2 * here - left - right))
     who = np.full((rows + 2, width + 2), -1, dtype=np.int32)
-    return Peaks(row, column, position, polarity, compiled(links_loop)(row, column, position, polarity, who))
+    return row, position, polarity, compiled(links_loop)(row, column, position, polarity, who)
 
 
 def links_loop(

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
 from localiser.camera import Camera
-from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_field, peaks_of
+from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_field
 from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, refined, rough_lines
 from localiser.edges.types import Segments
 from localiser.edges.views import ROWS_PER_BLOCK, Image, column_view, half_camera, halved, remap_tables
@@ -120,7 +120,7 @@ class Columns:
     def __call__(self, image: Image, camera: Camera, /) -> Segments:
         """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""
         field = gradient_field(image, camera)
-        rough, cells = rough_lines(peaks_of(field), len(field.fine))
+        rough, cells = rough_lines(field)
         fitted = refined(rough, cells, field)
         kept, top, bottom = _significant(fitted, cells, field, self.min_contrast)
         if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.edges.columns import ALONG, KERNEL, SCALE_PX, GradientField, Peaks
+from localiser.edges.columns import ALONG, KERNEL, SCALE_PX, GradientField, peaks_of
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
@@ -130,22 +130,22 @@ class Fitted:
     contrast: Array
 
 
-def rough_lines(peaks: Peaks, rows: int) -> tuple[LineFit, Cells]:
+def rough_lines(field: GradientField) -> tuple[LineFit, Cells]:
     """Return robust lines through the peaks of each chain that is long enough, and which of the blocks they cross."""
-    chain = peaks.chain
+    row, position, sign, chain = peaks_of(field)
     groups = Groups(chain, int(chain.max(initial=-1)) + 1)
     weight = np.ones(len(chain))
     for _ in range(3):
-        fit = groups.line(peaks.row, peaks.position, weight)
-        weight = 1 / (1 + ((peaks.position - fit.at(chain, peaks.row)) / 0.5) ** 2)
+        fit = groups.line(row, position, weight)
+        weight = 1 / (1 + ((position - fit.at(chain, row)) / 0.5) ** 2)
     first, last = np.empty((2, groups.count), dtype=np.int64)
     polarity = np.empty(groups.count, dtype=np.int8)
     # Of several values the last one stays.
-    first[chain[::-1]], last[chain], polarity[chain] = peaks.row[::-1], peaks.row, peaks.polarity
+    first[chain[::-1]], last[chain], polarity[chain] = row[::-1], row, sign
     long = np.flatnonzero(last - first >= LEAST_BLOCKS - 1)
     first, last = first[long], last[long]
     top = np.maximum(first - _MARGIN_BLOCKS, 0)
-    size = np.minimum(last + _MARGIN_BLOCKS, rows - 1) - top + 1
+    size = np.minimum(last + _MARGIN_BLOCKS, len(field.fine) - 1) - top + 1
     line = np.repeat(np.arange(len(size)), size)
     row = np.arange(len(line)) - (np.cumsum(size) - size - top)[line]
     in_chain, blocks = (row >= first[line]) & (row <= last[line]), (last - first + 1).astype(np.float64)
