@@ -197,7 +197,7 @@ def draw_edges(taken: Axes, rectified: Axes, gradient: Axes) -> None:
     taken.set_title("Taken: vertical edges lean, the lens bends them")
 
     grey = grey_image(image, camera)
-    upright = np.where(view.unseen, 255, np.repeat(view.blocks(grey), ROWS_PER_BLOCK, axis=0))
+    upright = np.where(view.tables[2], 255, np.repeat(view.blocks(grey), ROWS_PER_BLOCK, axis=0))
     rectified.imshow(upright, cmap="gray", vmin=0, vmax=255, aspect="auto")
     rectified.set_title("Rectified: each is a column")
     field = gradient_field(grey, camera).smooth
