@@ -65,9 +65,7 @@ MECHANISMS: dict[str, Patch] = {
     "wheels-check": _set("filter.mcl:_contradicted", lambda *_: None),
     "jump": _never_carried,
     "persistent-clutter": _set("filter.mcl:persistent_clutter", lambda *_: None),
-    "scene-clutter": _all(
-        *(_set(f"filter.{one}:scene_clutter", lambda now, _: np.ones((2, len(now.edges)))) for one in ("mcl", "scene"))
-    ),
+    "scene-clutter": _set("filter.scene:scene_clutter", lambda now, _: np.ones((2, len(now.edges)))),
     "polarity": _set("observation.frame:MEAN_POLARITY", 0.0),
     "history": _set("relocalisation.candidates:SCENES", 1),
     "fourth-root": _set("relocalisation.candidates:EVENNESS", 1.0),

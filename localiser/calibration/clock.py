@@ -27,7 +27,6 @@ from localiser.visual_odometry import (
     TwoImages,
     VisualOdometryParameters,
     follow,
-    likely_motions,
 )
 
 REACH_S = 1.0
@@ -284,7 +283,7 @@ def _turns_of(
             turn_sigma * seconds,
         ]
         prior = Gaussian(np.array([0.0, way_m, 0.0]), np.diag(np.square(sigma)))
-        motion = follow(images, likely_motions(images, prior), [(prior, 0.0)]).motion
+        motion = follow(images, [(prior, 0.0)])
         found[row] = motion.mean[2], np.sqrt(motion.cov[2, 2])
         progress()
     return found

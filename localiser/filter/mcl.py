@@ -31,7 +31,7 @@ from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
 from localiser.filter.tempering import Tempering, Weighed
-from localiser.filter.wheels import MOST_FOLLOWED, Evidence, Wheels
+from localiser.filter.wheels import MOST_FOLLOWED, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel, MotionParameters, covariance_of
@@ -46,11 +46,10 @@ from localiser.observation import (
     Sighting,
     novelty_of,
     persistent_clutter,
-    scene_clutter,
 )
 from localiser.particles import POSE, Particles, log_sum, systematic_resample, thinned
 from localiser.relocalisation import GlobalLocalisation
-from localiser.visual_odometry import Gaussian, Odometer, increment_of, with_scale
+from localiser.visual_odometry import Gaussian, Odometer, TwoImages, increment_of, with_scale
 
 FEW_MOVED = 512  # particles that tell where odometry alone expects all of them
 FEW_TOLD = 64  # particles that tell how well a motion predicts an image
@@ -353,16 +352,11 @@ def _contradicted(
         fit = state.inliers.log_mean(observation.by_rate(cloud, level, mcl.landmark_map))
         return float(log_sum(cloud.log_weight + fit) - log_sum(cloud.log_weight))
 
-    def by_last_image(motion: Increment) -> float:
-        frame, turn_var = observation.frame(now), float(covariance_of(mcl.motion, motion)[2, 2])
-        last = EarlierFrame.of(observation.frame(before), frame, motion, turn_var)
-        return float(np.log(scene_clutter(frame, [last])[0]).sum())
-
     state.wheels, motion = state.wheels.after(
-        Evidence(odometer, before, now, by_map, by_last_image),
+        TwoImages.of(before, now, odometer.camera),
+        by_map,
         increment,
         covariance_of(mcl.motion, increment),
-        (by_map(increment), by_last_image(increment)),
         odometer.parameters,
         seconds,
     )

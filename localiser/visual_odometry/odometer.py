@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Increment
-from localiser.visual_odometry.estimate import Gaussian, follow, likely_motions
+from localiser.visual_odometry.estimate import Gaussian, follow
 from localiser.visual_odometry.two_images import TwoImages
 
 LONGEST_S = 600.0
@@ -112,7 +112,7 @@ class Odometer:
             sideways_m = right_m - 0.5 * turn * back_m
             straight = Gaussian(prior.mean - gain * sideways_m, prior.cov - np.outer(gain, across))
             priors.insert(0, (straight, float(np.log1p(-share))))
-        motion = follow(images, likely_motions(images, prior), priors).motion
+        motion = follow(images, priors)
         return motion, Gaussian(motion.mean / seconds, motion.cov / seconds**2)
 
 

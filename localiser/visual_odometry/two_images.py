@@ -20,33 +20,32 @@ from localiser.landmarks import field_of_view_rad
 
 FOLLOWED_SHARE = 0.7  # of the edges of an image, seen in the one before
 TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD = 0.4, 0.3  # 1/m: rooms are some metres wide, and edges stand all over them
-FOOT_UNEVEN_SIGMA_M = 0.04  # of how far above the floor the lower end of each edge is: thresholds, plinths
-FOOT_HEIGHT_SIGMA_M = 0.03  # and those of a building all alike: skirting boards
+FOOT_HEIGHT_SIGMA_M = 0.05  # of how far above the floor lower ends are: thresholds, plinths, skirting boards
 LOOK_SIGMA = 12.0  # grey levels that an unchanged side of an edge differs by
 LOOK_FLOOR = 0.1  # likelihood of an edge whose both sides changed, beside one that did not
 # An edge that is found to end this close to the border may be cut off by it: no foot, though it looks like one in each
 # image.
 RUNS_OUT_PX = 4.0 * FOOT_SIGMA_PX
 APART_RAD = np.deg2rad(3.0)  # edges closer together than this are likely of one thing: a door, a poster, a shelf
+GROUP_POWER = 0.5  # edges of one thing err together: n of them say as much as n^(1 - power) of their own
 
 
 class SeenEdges(NamedTuple):
     """What one image says about where its edges (E) stand.
 
-    measured, sigma: (E, 2) bearing (rad) and inverse range (1/m); the latter nan where no foot is seen.
-    common: (E, 2, K) derivatives of these by what is wrong with all edges at once, each in units of its prior sigma:
-        the mount's errors, and how far above the floor feet end.
+    measured: (E, 2) bearing (rad) and inverse range (1/m); the latter nan where no foot is seen. variance: (E, 2) of
+    their own errors. common: (E, 2) variance of those by what is wrong with all edges at once: the mount's errors, and
+    how far above the floor feet end.
     """
 
     measured: Array
-    sigma: Array
+    variance: Array
     common: Array
 
     @classmethod
     def of(cls, edges: Edges, camera: Camera) -> SeenEdges:
-        """Return what these edges say, seen by this camera. Bearings are from the axis of its usual mount."""
-        yaw_rad, camera = camera.mount.yaw_rad, camera.at(edges.mount)
-        height_m, last = camera.mount.height_m, np.array([camera.width, camera.height]) - 1
+        """Return what these edges say, seen by this camera."""
+        height_m, last = camera.at(edges.mount).mount.height_m, np.array([camera.width, camera.height]) - 1
         foot_px = edges.ends_px[:, 0]  # nan where unknown
         runs_out = (np.minimum(foot_px, last - foot_px) < RUNS_OUT_PX).any(axis=-1)
         inverse = 1.0 / np.where(runs_out, np.nan, edges.foot_range_m)
@@ -61,60 +60,44 @@ class SeenEdges(NamedTuple):
         by_mount[:, 0] = edges.common.bearing_from_line
         for column, name in enumerate(edges.common.names):
             by_mount[:, 1, column] = of_foot.get(name, 0.0)
-        variance, axes = np.linalg.eigh(edges.common.cov)
-        by_foot_height = np.zeros((len(edges), 2, 1))
-        by_foot_height[:, 1, 0] = inverse * FOOT_HEIGHT_SIGMA_M / height_m
-        common = np.concatenate([by_mount @ (axes * np.sqrt(np.maximum(variance, 0.0))), by_foot_height], axis=-1)
-        return cls(
-            np.stack([edges.bearing + (yaw_rad - camera.mount.yaw_rad), inverse], axis=-1),
-            np.stack([edges.bearing_sigma, inverse**2 * edges.foot_range_sigma_m], axis=-1),
-            np.nan_to_num(common),
-        )
+        common = np.einsum("eik,kl,eil->ei", by_mount, edges.common.cov, by_mount)
+        common[:, 1] += (inverse * FOOT_HEIGHT_SIGMA_M / height_m) ** 2
+        sigma = np.stack([edges.bearing_sigma, inverse**2 * edges.foot_range_sigma_m], axis=-1)
+        return cls(np.stack([edges.bearing, inverse], axis=-1), sigma**2, common)
 
 
 class TwoImages(NamedTuple):
-    """Two images, made ready once to be followed with one prior or another.
+    """Two images, made ready once to ask how likely one motion or another is.
 
-    pairs: (P, 2) of edges whose polarities do not contradict each other. look: (P,) how alike they are, 0 … 1.
-    mount: (5,) of the camera, see `twist_kernel.camera_moved`. uneven: sigma of the height of feet, each its own, over
-    the camera's height. new_density: of the second bearing of an edge that is new, over the odds that it is not.
+    pairs: (P, 2) of edges whose polarities do not contradict each other. look: (P,) how alike they are, 0 … 1, over the
+    density of new edges in bearing, and over the odds that an edge is none. weight: (F,) of the edges of the second
+    image. mounts: (2, 3) floor poses of the camera on the robot.
     """
 
     one: SeenEdges
     two: SeenEdges
     pairs: NDArray[np.int64]
     look: Array
-    mount: Array
-    uneven: float
-    new_density: float
+    weight: Array
+    mounts: Array
 
     @classmethod
     def of(cls, before: Edges, after: Edges, camera: Camera) -> TwoImages:
         """Return the images with these edges, seen by one camera, whose mount may differ from one to the other."""
         one, two = SeenEdges.of(before, camera), SeenEdges.of(after, camera)
         measured = any(edges.mount is not None and edges.mount.sigma is not None for edges in (before, after))
-        names = before.common.names
-        if len(before) and len(after) and (measured or TURN_RATE in names or names != after.common.names):
-            # Mounts err each in its own way; by how much feet end too high is the same in both.
-            mine, other = one.common, two.common
-            no_two, no_one = (np.zeros((len(a), 2, b.shape[2] - 1)) for a, b in ((mine, other), (other, mine)))
-            one = one._replace(common=np.concatenate([mine[..., :-1], no_two, mine[..., -1:]], axis=-1))
-            two = two._replace(common=np.concatenate([no_one, other], axis=-1))
-        first, second = (camera.at(edges.mount).robot_from_level[:2] for edges in (before, after))
+        if measured or TURN_RATE in before.common.names or before.common.names != after.common.names:
+            for image in (one, two):  # what is wrong differs from one image to the other
+                image.variance[:, 0] += image.common[:, 0]
         pairs = np.ascontiguousarray(np.argwhere(before.polarity[:, None].astype(int) * after.polarity >= 0))
-        look = how_alike(before.profile, after.profile)[pairs[:, 0], pairs[:, 1]]
-        mount = np.array([*first, camera.mount.yaw_rad, *(second - first)])
-        new_share = (1.0 - FOLLOWED_SHARE) / (FOLLOWED_SHARE / max(len(before), 1))
-        uneven, new_density = FOOT_UNEVEN_SIGMA_M / camera.mount.height_m, new_share / field_of_view_rad(camera)
-        return cls(one, two, pairs, look, mount, uneven, new_density)
-
-    def groups(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the group (M,) of each of the pairs: edges less than 3° from the next are the sides of one thing."""
-        bearing = self.one.measured[self.pairs[chosen, 0], 0]
-        order = np.argsort(bearing)
-        group = np.empty(len(bearing), dtype=np.int64)
-        group[order] = np.cumsum(np.diff(bearing[order], prepend=-np.inf) > APART_RAD) - 1
-        return group
+        new_density = (1.0 - FOLLOWED_SHARE) / FOLLOWED_SHARE * max(len(before), 1) / field_of_view_rad(camera)
+        look = how_alike(before.profile, after.profile)[pairs[:, 0], pairs[:, 1]] / new_density
+        order = np.argsort(after.bearing)
+        group = np.empty(len(after), dtype=np.int64)
+        group[order] = np.cumsum(np.diff(after.bearing[order], prepend=-np.inf) > APART_RAD) - 1
+        weight = np.asarray(np.bincount(group)[group] ** -GROUP_POWER)
+        mounts = np.array([camera.at(edges.mount).robot_from_level for edges in (before, after)])
+        return cls(one, two, pairs, look, weight, mounts)
 
 
 def how_alike(before: Array, after: Array) -> Array:

@@ -18,12 +18,12 @@ from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
 from localiser.filter.events import is_silent
-from localiser.filter.wheels import ASTRAY, Evidence, Wheels, contradicts
+from localiser.filter.wheels import ASTRAY, LEAST_SIGMA, Wheels, contradicts
 from localiser.geometry import Increment, between, compose, wrap_angle
 from localiser.particles import POSE, Estimate
 from localiser.replay.run import start_of
 from localiser.storage import Log
-from localiser.visual_odometry import Gaussian, Odometer, VisualOdometryParameters, with_scale
+from localiser.visual_odometry import Gaussian, Odometer, TwoImages, VisualOdometryParameters, with_scale
 
 BEGIN_S, END_S = 12.0, 15.0
 
@@ -93,11 +93,11 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     """Wheels that count double move the estimate a little at first; that must not become the expected pace."""
     parameters, pace = VisualOdometryParameters(), Gaussian(np.array([0.0, -0.4, 0.0]), 1e-4 * np.eye(3))
     camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
-    poor = Evidence(Odometer(camera, parameters), Edges.none(), Edges.none(), lambda _: 2.0, lambda _: 0.0)
+    nothing = TwoImages.of(Edges.none(), Edges.none(), camera)
     known = Wheels(usual=np.array([10.0, 0.0]), pose=np.zeros(3), pace=pace)
     double = Increment.from_mean(np.array([0.0, -0.16, 0.0]))
 
-    told, other = known.after(poor, double, 1e-4 * np.eye(3), (2.0, 0.0), parameters, 0.2)
+    told, other = known.after(nothing, lambda _: 2.0, double, 1e-4 * np.eye(3), parameters, 0.2)
     assert other is None
     told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
     np.testing.assert_allclose(told.pace.mean, parameters.expected(pace, 0.2).mean / 0.2)
@@ -105,13 +105,17 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
 
 def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
     """Edges that go astray now and then must not make wheels wrong at once; edges that agree speak for them."""
-    wheels, cov, any_cov = np.array([0.0, -0.1, 0.0]), np.diag([1e-6, 1e-4, 1e-5]), np.diag([0.01, 0.01, 0.02])
-    seen = Gaussian(wheels, np.diag([1e-5, 1e-5, 1e-6]))
-    agree = contradicts(wheels, cov, seen, any_cov)
-    slip = contradicts(wheels + np.array([0.0, 0.0, 0.15]), cov, seen, any_cov)
-    noise = contradicts(wheels + np.array([0.0, 0.008, 0.002]), cov, seen, any_cov)
+    cov, pace = np.diag([1e-6, 1e-4, 1e-5]), Gaussian(np.array([0.0, -0.1, 0.0]), np.diag([0.01, 0.01, 0.02]))
+    wheels = Gaussian(pace.mean, cov + np.diag(LEAST_SIGMA**2))
+    seen = Gaussian(wheels.mean, np.diag([1e-5, 1e-5, 1e-6]))
+
+    def off_by(*move: float) -> float:
+        return contradicts(wheels, replace(seen, mean=seen.mean + move), pace)
+
+    agree, slip, noise = off_by(0.0, 0.0, 0.0), off_by(0.0, 0.0, 0.15), off_by(0.0, 0.008, 0.002)
     assert agree < -4.0 and agree < noise < -3.0
     assert slip == pytest.approx(np.log(1.0 / ASTRAY), abs=0.01)
+    assert contradicts(wheels, pace, pace) == pytest.approx(0.0, abs=1e-6)  # edges that tell nothing
 
 
 def test_the_camera_does_not_take_for_granted_that_a_robot_steers() -> None:
@@ -125,7 +129,7 @@ def test_the_camera_does_not_take_for_granted_that_a_robot_steers() -> None:
     for source in ("vision", "wheel"):
         odometer = Odometer(CAMERA, replace(parameters, source=source))
         seen = with_scale(odometer.motion(before, after, 0.2, pace)[0], walks=False)
-        log_ratio[source] = contradicts(move, np.diag(sigma**2), seen, parameters.expected(None, 0.2).cov)
+        log_ratio[source] = contradicts(Gaussian(move, np.diag(sigma**2)), seen, parameters.expected(pace, 0.2))
     assert log_ratio["vision"] > 2.0
     assert log_ratio["wheel"] < 0.5
 
