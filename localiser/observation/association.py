@@ -14,15 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from localiser.camera import Camera
+from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.geometry.compiled import entry
-from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, kept_with, reach_of
+from localiser.landmarks import LandmarkMap, image_heights, in_camera, in_view_of_cells_loop, kept_with, reach_of
 from localiser.observation.frame import (
     GATE_SIGMAS,
     TOLERANCE_PX,
     UNKNOWN,
     Frame,
     Indices,
+    ends_lower_first,
 )
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.sighting import Matches, Sighting, Targets
@@ -82,9 +85,7 @@ class Association:
 
     landmark: (K,) indices. angle: (K,) at which each is expected (rad), per_m: (K,) how fast that changes as it is
     moved aside (rad/m), map_var, cloud_var: (K,) its variances by the map and over the poses of a cloud about the pose
-    that face the landmark (rad²). in_the_open: (K,) probability that no wall hides it. ahead_m: (K,) distance along the
-    camera's level axis. ends: (K, 2) heights of its lower and upper end in the upright image, infinite where unknown or
-    beyond the border. pair: (P,) index into these,
+    that face the landmark (rad²). in_the_open: (K,) probability that no wall hides it. pair: (P,) index into these,
     edge: (P,). residual: (P,) measured minus expected angle (rad). odds: (P,) that the edge is this landmark's, against
     clutter that is spread evenly, at an inlier rate of ½. cloud_odds: (P,) the same where the angle is as uncertain
     over the cloud, too.
@@ -99,8 +100,6 @@ class Association:
     map_var: Array
     cloud_var: Array
     in_the_open: Array
-    ahead_m: Array
-    ends: Array
     pair: Indices
     edge: Indices
     residual: Array
@@ -131,8 +130,8 @@ class Association:
         _, near = in_view(_ONE_RUN, low, per_unit, _ONE_CELL, offset, landmarks, *view)
         seen, pairs = kernel.associate(poses, np.arange(len(poses)), weight, near, inputs)
         landmark, (pair, row) = seen[:, 0].astype(np.int64), pairs[:, :2].astype(np.int64).T
-        rest = seen[:, 7:], pair, by_angle[row], *pairs[:, 2:].T
-        return cls(frame, sighting, landmark_map, landmark, *seen[:, 1:7].T, *rest)
+        rest = pair, by_angle[row], *pairs[:, 2:].T
+        return cls(frame, sighting, landmark_map, landmark, *seen[:, 1:].T, *rest)
 
     def matches(self) -> Matches:
         """Return the most likely landmark of every edge, whether or not an earlier image showed it too."""
@@ -211,18 +210,26 @@ class Association:
         by_rate = np.log1p(INLIER_RATES[:, None, None] * (ratio - 1.0)).sum(axis=2)
         return np.asarray(log_sum_of_rates(by_rate) - np.log(len(INLIER_RATES)))
 
-    def end_offsets(self, matches: Matches) -> tuple[Array, Array]:
-        """Return how far from its landmark's ends each edge that belongs to one ends.
 
-        Of P ends inside the image: the measured minus the expected upright height (P,), and the derivative (P,) of the
-        expected one by the camera's height above the floor, 1/m.
+def end_offsets(
+    matches: Matches, pose: Array, edges: Edges, camera: Camera, landmark_map: LandmarkMap
+) -> tuple[Array, Array]:
+    """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
 
-        A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
-        that ∂e/∂h = -(c + e s)² / d, where h is the height of the camera, and c and s are of its tilt.
-        """
-        edge, ends, camera = np.flatnonzero(matches.landmark >= 0), self.frame.ends, self.frame.camera
-        row, (_, _, e_low, e_high) = np.searchsorted(self.landmark, matches.landmark[edge]), camera.upright_bounds
-        expected, (c, s) = self.ends[row], (np.cos(camera.mount.tilt_rad), np.sin(camera.mount.tilt_rad))
-        inside = (expected > e_low) & (expected < e_high) & ~ends.cut[edge]
-        ahead_m, expected = np.column_stack([self.ahead_m[row]] * 2)[inside], expected[inside]
-        return ends.e[edge][inside] - expected, -((c + expected * s) ** 2) / ahead_m
+    Of P ends inside the image: the measured minus the expected upright height (P,), and the derivative (P,) of the
+    expected one by the camera's height above the floor, 1/m.
+
+    A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
+    that ∂e/∂h = -d / (d c - v s)², where h is the height of the camera, and c and s are of its tilt.
+    """
+    edge = np.flatnonzero((matches.landmark >= 0) & np.isfinite(edges.ends_px).all(axis=(1, 2)))
+    landmark, mount = matches.landmark[edge], camera.mount
+    _, ahead_m = in_camera(camera.pose_in_map(pose[None]), landmark_map.points[landmark])
+    ends_m = np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])
+    expected = np.column_stack(image_heights(camera, ahead_m[0], *ends_m.T))
+    measured, cut = ends_lower_first(edges.ends_px[edge], camera)
+    _, _, e_low, e_high = camera.upright_bounds
+    inside = np.isfinite(ends_m) & (expected > e_low) & (expected < e_high) & ~cut
+    depth = ahead_m[0, :, None] * np.cos(mount.tilt_rad) - (ends_m - mount.height_m) * np.sin(mount.tilt_rad)
+    per_height = -ahead_m[0, :, None] / depth**2
+    return (measured - expected)[inside], per_height[inside]

@@ -409,18 +409,17 @@ def log_products(
 def associate(poses: Array, order: Indices, weight: Array, item: NDArray[np.int32], inputs: Any) -> tuple[Array, Array]:
     """Return the landmarks that the first two of the poses (N, 4), which are the same, see, and the edges near them.
 
-    Rows (K, 9) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
+    Rows (K, 6) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
     its variances by the map and over those of the other poses that face the landmark (rad²), probability that no wall
-    is before it, how far ahead it is (m), heights of its lower and upper end in the upright image, infinite beyond the
-    border. Rows (P, 5) of pairs: row of the landmark, row of the edge, residual (rad), odds from the pose and over all
-    poses (see `association.Association`).
+    is before it. Rows (P, 5) of pairs: row of the landmark, row of the edge, residual (rad), odds from the pose and
+    over all poses (see `association.Association`).
 
     order: 0 … N - 1. weight: (N,) of the poses, the first two not counted. item: landmarks to look at. inputs: as for
     `log_products`.
     """
     offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = inputs
     block = np.ones((_SEEN + VIEWS, len(poses)))
-    seen, pairs = np.empty((len(item), 9)), np.empty((len(item) * len(edges), 5))
+    seen, pairs = np.empty((len(item), 6)), np.empty((len(item) * len(edges), 5))
     shown, used, in_view, per_density = 0, 0, 0.0, span / np.sqrt(2 * np.pi)
     _place(poses, order, 0, len(poses), len(poses), offset, block)
     for k in item:
@@ -453,8 +452,6 @@ def associate(poses: Array, order: Indices, weight: Array, item: NDArray[np.int3
                 used += 1
         seen[shown, 0], seen[shown, 1], seen[shown, 2] = k, angle, np.sqrt(per_m_sq)
         seen[shown, 3], seen[shown, 4], seen[shown, 5] = by_map, by_pose, is_open
-        seen[shown, 6] = (block[_X, 0] - one[0]) * block[_SIN, 0] + (block[_Z, 0] - one[1]) * block[_COS, 0]
-        seen[shown, 7], seen[shown, 8] = block[_FOOT, 0], block[_TOP, 0]
         shown, in_view = shown + 1, in_view + is_open
     for p in range(used):
         if edges[int(pairs[p, 1]), _IDENTITY] < 0:
