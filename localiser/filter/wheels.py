@@ -43,7 +43,7 @@ MOST_TOLD = 4.0  # log-ratio of one image by the map
 DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
 ASTRAY = 0.005  # part of the motions by edges that are off by more than they claim
 SUSPECT = -4.0  # log-ratio from which on the pace may be wrong, too
-LEAST_SIGMA = np.array([1e-3, 1e-3, 5e-4])  # of any motion that is compared with edges, which are never exact
+LEAST_SIGMA = np.array([1e-2, 1e-2, 2e-3])  # of any motion that is compared with edges, which are never exact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
