@@ -34,7 +34,7 @@ REACH_S = 1.0
 MOST_PAIRS = 120
 _COARSE, _FINE = 101, 25
 """How many offsets are compared over the whole reach, and then in a window around the best of them."""
-_WIDE_S, _NARROW_S, _CERTAIN_S = 0.15, 0.05, 0.015
+_WIDE_S, _NARROW_S, _CERTAIN_S = 0.15, 0.05, 0.02
 """Half of the windows, and the sigma below which the narrow one is used."""
 _FLAT_SHARE = 0.5  # a parabola whose sigma is this share of its window is no peak
 _FEW = 9
