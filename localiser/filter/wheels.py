@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from localiser.geometry import Array, Increment, between
+from localiser.geometry import Array, Increment, between, wrap_angle
 from localiser.particles import Estimate
 from localiser.visual_odometry import (
     Gaussian,
@@ -41,7 +41,7 @@ FIT_MEMORY = 0.9  # part of what is usual that an image leaves
 MOST_FOLLOWED = 48  # that are followed: the work grows with the square of their number
 MOST_TOLD = 4.0  # log-ratio of one image by the map
 DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
-ASTRAY = 0.005  # part of the motions by edges that are off by more than they claim
+ASTRAY = 0.05  # part of the motions by edges that are off by more than they claim
 SUSPECT = -4.0  # log-ratio from which on the pace may be wrong, too
 LEAST_SIGMA = np.array([1e-2, 1e-2, 2e-3])  # of any motion that is compared with edges, which are never exact
 
@@ -119,6 +119,11 @@ def contradicts(wheels: Gaussian, seen: Gaussian, expected: Gaussian) -> float:
     seen: the motion by the edges and the `expected` one, so that p(edges | motion) is their ratio. A few motions that
     are seen are far off (`ASTRAY`), so edges can say only so much against the wheels.
     """
+    at_seen, at_wheels = (
+        np.append(each.mean[:2], expected.mean[2] + wrap_angle(each.mean[2] - expected.mean[2]))
+        for each in (seen, wheels)
+    )
+    seen, wheels = replace(seen, mean=at_seen), replace(wheels, mean=at_wheels)
     of_seen, of_wheels, of_pace = (np.linalg.inv(each.cov) for each in (seen, wheels, expected))
     information = of_seen + of_wheels - of_pace
     if np.linalg.eigvalsh(information)[0] <= 0.0:  # edges tell less than the pace

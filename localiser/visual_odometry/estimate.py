@@ -26,7 +26,10 @@ _WALL_SHARE = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussian:
-    """What is believed of a motion: mean (3,), right (m), backward (m), turn (rad), and covariance (3, 3)."""
+    """What is believed of a motion: mean (3,), right (m), backward (m), turn (rad), and covariance (3, 3).
+
+    Or (4,) and (4, 4), with the typical inverse range (1/m).
+    """
 
     mean: Array
     cov: Array
@@ -38,7 +41,7 @@ class Gaussian:
         return np.asarray(-0.5 * (square + np.linalg.slogdet(2 * np.pi * self.cov)[1]))
 
     def draws(self) -> Array:
-        """Return motions (_COUNT, 3) drawn from it, always the same."""
+        """Return motions (_COUNT, 3 or 4) drawn from it, always the same."""
         return np.asarray(self.mean + _DRAWS[:, : len(self.mean)] @ np.linalg.cholesky(self.cov).T)
 
 
@@ -88,8 +91,8 @@ def follow(images: TwoImages, priors: Sequence[tuple[Gaussian, float]]) -> Gauss
     """
     if not len(images.pairs):
         return mixture([prior for prior, _ in priors], normalised(np.array([log_share for _, log_share in priors])))
-    found, log_evidence = zip(*(_sampled(images, priors, on_wall) for on_wall in (False, True)), strict=True)
-    whole = mixture(found, normalised(np.log([1.0 - _WALL_SHARE, _WALL_SHARE]) + np.array(log_evidence)))
+    found, log_means = zip(*(_sampled(images, priors, on_wall) for on_wall in (False, True)), strict=True)
+    whole = mixture(found, normalised(np.log([1.0 - _WALL_SHARE, _WALL_SHARE]) + np.array(log_means)))
     return Gaussian(whole.mean[:3], whole.cov[:3, :3])
 
 
@@ -97,7 +100,8 @@ def _sampled(images: TwoImages, priors: Sequence[tuple[Gaussian, float]], on_wal
     """Return motion and typical inverse range, and the logarithm of how well the images are explained, by samples.
 
     They are drawn from the widest prior, and weighed by as much of what is known as leaves enough of them; then from a
-    Gaussian with the moments of those, until all of it counts (population Monte Carlo [Cappé et al. 2004]).
+    Gaussian with the moments of those, until all of it counts (population Monte Carlo [Cappé et al. 2004]). After 15
+    rounds the result is wider than what edges tell.
     """
     known = [(_with_range(prior), log_share) for prior, log_share in priors]
     motion = known[-1][0]
@@ -107,7 +111,9 @@ def _sampled(images: TwoImages, priors: Sequence[tuple[Gaussian, float]], on_wal
         log_ratio = log_prior - motion.log_density(drawn) + log_likelihood(images, drawn, on_wall)
         taken = largest_step(np.zeros(_COUNT), log_ratio, 1.0, _FEWEST)
         found = Particles((*POSE, "range"), drawn.T.copy(), taken * log_ratio).estimate
-        motion = Gaussian(found.mean, (1.0 if taken == 1.0 else _GROWN) * found.cov)
+        mean = found.mean.copy()  # beside the last one, so that a turn near ±π is compared with its prior
+        mean[2] = motion.mean[2] + wrap_angle(mean[2] - motion.mean[2])
+        motion = Gaussian(mean, (1.0 if taken == 1.0 else _GROWN) * found.cov)
         if taken == 1.0:
             break
     return motion, log_sum(log_ratio) - float(np.log(_COUNT))

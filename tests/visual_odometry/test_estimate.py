@@ -76,6 +76,18 @@ def test_driving_straight_on_is_equation_10_of_the_paper() -> None:
     assert depth_from_slopes(*slopes, -driven_m) == pytest.approx(-ahead_m)
 
 
+def test_a_turn_beyond_half_a_turn_is_compared_with_its_prior() -> None:
+    """The prior is at 3.12 rad, and the robot turned by 3.15, which is -3.13."""
+    rng, motion, prior = np.random.default_rng(3), np.array([0.0, -0.1, 3.15]), np.array([0.0, -0.1, 3.12])
+    points = np.concatenate([POINTS, geometry.map_from_robot(motion, POINTS)])
+    one, two = (edges_from(pose, rng, points) for pose in (np.zeros(3), motion))
+    images = TwoImages.of(one, two, CAMERA)
+    found = follow(images, [(Gaussian(prior, np.diag([0.01, 0.01, 0.01])), 0.0)])
+    error = found.mean - motion
+    error[2] = geometry.wrap_angle(error[2])
+    assert error @ np.linalg.solve(found.cov, error) < 16.3  # chi-square of 3, 99.9 %
+
+
 def normal(value: Array, mean: Array, variance: Array) -> Array:
     return np.asarray(np.exp(-0.5 * (value - mean) ** 2 / variance) / np.sqrt(2 * np.pi * variance))
 
