@@ -132,6 +132,22 @@ def test_nothing_measured_or_nothing_in_view_tells_nothing_of_the_landmarks(kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_blur_is_a_sigma_of_every_edge(kind: str) -> None:
+    rng = np.random.default_rng(8)
+    observation = EdgeObservation(CAMERA, ObservationParameters(kind=kind))  # type: ignore[arg-type]
+    landmark_map, edges = some_map(rng), some_edges(rng, 6, common=False)
+    poses = particles_at(rng.normal(POSE_TRUE, [0.5, 0.5, 0.5], size=(20, 3)))
+    blurred = replace(
+        edges, bearing_sigma=np.hypot(edges.bearing_sigma, 0.02), lean_sigma=np.hypot(edges.lean_sigma, 0.02)
+    )
+    found = observation.by_rate(poses, Sighting(0, edges), landmark_map, blur_rad=0.02)
+    np.testing.assert_allclose(
+        found, observation.by_rate(poses, Sighting(0, blurred), landmark_map), rtol=1e-9, atol=1e-9
+    )
+    assert np.abs(found - observation.by_rate(poses, Sighting(0, edges), landmark_map)).max() > 0.1
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_scales_are_the_spread_of_predictions_and_the_sigma_of_measuring(kind: str) -> None:
     """A cloud that is uncertain of its heading alone predicts bearings that spread as the heading does."""
     rng = np.random.default_rng(9)
