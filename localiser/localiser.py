@@ -45,7 +45,7 @@ from localiser.filter import (
     track_of,
 )
 from localiser.filter import warm_up as warm_up_filter
-from localiser.geometry import Twist, finite_numbers
+from localiser.geometry import Array, Twist, finite_numbers
 from localiser.landmarks import LandmarkMap
 from localiser.markers import code_of
 from localiser.motion import MotionModel
@@ -159,7 +159,7 @@ class Localiser:
         """
         at_ns = _AT_NEXT if t_ns is None else _nanoseconds(t_ns)
         mean = finite_numbers("pose", pose, (3,)) + self.landmark_map.origin(map_name)
-        event = Start(at_ns, mean, finite_numbers("cov", cov, (3, 3)))
+        event = Start(at_ns, mean, _covariance(cov))
         try:
             check_start(event.mean, event.cov)
         except ValueError as error:
@@ -463,4 +463,14 @@ def _nanoseconds(t_ns: int) -> int:
         found = _AT_NEXT
     if abs(found) >= -_AT_NEXT:
         raise InputError(f"expected an integer of nanoseconds, found {t_ns!r}", field="t_ns")
+    return found
+
+
+def _covariance(cov: ArrayLike) -> Array:
+    """Return a covariance (3, 3), which may be singular. Raises InputError."""
+    found = finite_numbers("cov", cov, (3, 3))
+    variances = np.linalg.eigvalsh(found)
+    asymmetry = np.abs(found - found.T).max()
+    if asymmetry > 1e-9 * np.abs(found).max() or variances[0] < -1e-12 * abs(variances[-1]):
+        raise InputError(f"expected a symmetric matrix without negative eigenvalues, found {cov!r}", field="cov")
     return found

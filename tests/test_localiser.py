@@ -484,7 +484,7 @@ def test_edges_without_wheels_need_a_camera() -> None:
 @pytest.mark.parametrize("cov", [-np.eye(3), np.diag([1.0, 1.0, -1e-6]), np.eye(3) + np.eye(3, k=1)])
 def test_a_start_with_a_matrix_that_is_no_covariance_is_refused(cov: np.ndarray) -> None:
     one = of_corridor()
-    with pytest.raises(InputError, match=r"^start: expected a symmetric matrix without negative eigenvalues"):
+    with pytest.raises(InputError, match=r"^cov: expected a symmetric matrix without negative eigenvalues"):
         one.start([0, 0, 0], cov)
     one.start([0, 0, 0], np.zeros((3, 3)))
     one.start([0, 0, 0], np.ones((3, 3)))
