@@ -209,10 +209,8 @@ class EdgeObservation:
 
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
-        found, variance = (
-            self.associate_cloud(particles, sighting, landmark_map),
-            self.frame(sighting.edges).measured[1],
-        )
+        found = self.associate_cloud(particles, sighting, landmark_map)
+        variance = found.frame.measured[1]
         if not len(found.landmark) or not np.isfinite(variance).any():
             return 0.0, np.inf
         sigma = np.sqrt(np.nanmedian(variance) + np.median(found.map_var))

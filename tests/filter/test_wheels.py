@@ -116,10 +116,8 @@ def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
     assert agree < -4.0 and agree < noise < -3.0
     assert slip == pytest.approx(np.log(1.0 / ASTRAY), abs=0.01)
     assert contradicts(wheels, pace, pace) == pytest.approx(0.0, abs=1e-6)  # edges that tell nothing
-    half, other = (
-        np.array([0.0, 0.0, np.pi - 0.01]),
-        np.array([0.0, 0.0, -np.pi - 0.01]),
-    )  # the same turn, written twice
+    # The same turn, written twice.
+    half, other = np.array([0.0, 0.0, np.pi - 0.01]), np.array([0.0, 0.0, -np.pi - 0.01])
     turned = [replace(each, mean=each.mean + half) for each in (wheels, pace)]
     assert contradicts(turned[0], replace(seen, mean=seen.mean + other), turned[1]) == pytest.approx(agree)
 
