@@ -80,25 +80,24 @@ def moves_between(
     track, jumps = bridged(raw)
     times = track.t_ns
     jumped = bool(((times[jumps] > start_ns) & (times[jumps - 1] < t_ns)).any())
-    inside = times[(times > start_ns) & (times < t_ns)]
-    knots_ns = np.array([start_ns, *inside, t_ns])
-    knots, late = np.split(track.sampled(np.append(knots_ns, knots_ns - round(1e9 * delay_s))).poses, 2)
-    steps = between(knots[:-1], knots[1:])
+    knots_ns = np.array([start_ns, *times[(times > start_ns) & (times < t_ns)], t_ns])
+    late_ns = knots_ns - round(1e9 * delay_s)
+    knots = track.sampled(np.append(knots_ns, late_ns)).poses.reshape(2, -1, 3)
+    steps = between(knots[0, :-1], knots[0, 1:])
     path_m, turned_rad = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
-    move = np.floor(np.cumsum(path_m / MOVE_M + turned_rad / MOVE_RAD)).astype(np.int64)
-    first = np.flatnonzero(np.diff(move, prepend=-1))
-    ends = np.append(first, len(steps))
-    means = between(knots[ends[:-1]], knots[ends[1:]])
+    move = np.floor(np.cumsum(path_m / MOVE_M + turned_rad / MOVE_RAD))
+    ends = np.array([0, *np.flatnonzero(np.diff(move)) + 1, len(steps)])
+    means, late = between(knots[:, ends[:-1]], knots[:, ends[1:]])
     # A secant over a typical delay, since velocities that are commanded jump.
-    by_delay = between(late[ends[:-1]], late[ends[1:]]) - means
+    by_delay = late - means
     by_delay[:, 2] = wrap_angle(by_delay[:, 2])
     by_delay /= delay_s or 1.0
-    paths, turns = np.add.reduceat(path_m, first), np.add.reduceat(turned_rad, first)
+    paths, turns = np.add.reduceat([path_m, turned_rad], ends[:-1], axis=1)
     moves = [
         Increment(mean, np.zeros((3, 3)), path, turned, per_s)
         for mean, path, turned, per_s in zip(means, paths, turns, by_delay, strict=True)
     ]
-    pose = raw.at(t_ns) if len(jumps) else knots[-1]
+    pose = raw.at(t_ns) if len(jumps) else knots[0, -1]
     # Keep the last pose at or before where the next increment, or a later robot's, starts, and the one before it.
     while len(odometry) > 2 and odometry[2].t_ns <= t_ns - round(1e9 * delay_s):
         odometry.popleft()

@@ -85,10 +85,12 @@ def compose(pose: ArrayLike, delta: ArrayLike) -> Array:
         (x, z, heading), (right, back, turn) = pose.ravel().tolist(), delta.tolist()
         cos, sin, turned = math.cos(heading), math.sin(heading), (heading + turn + math.pi) % (2 * math.pi) - math.pi
         return np.array([x + cos * right + sin * back, z - sin * right + cos * back, turned]).reshape(pose.shape)
-    cos, sin, turned = np.cos(pose[..., 2]), np.sin(pose[..., 2]), wrap_angle(pose[..., 2] + delta[..., 2])
-    right, back = delta[..., 0], delta[..., 1]
-    moved = pose[..., 0] + cos * right + sin * back, pose[..., 1] - sin * right + cos * back
-    return np.stack([*moved, turned], axis=-1)
+    cos, sin, right, back = np.cos(pose[..., 2]), np.sin(pose[..., 2]), delta[..., 0], delta[..., 1]
+    moved = np.asarray(pose + delta)
+    moved[..., 0] = pose[..., 0] + cos * right + sin * back
+    moved[..., 1] = pose[..., 1] - sin * right + cos * back
+    moved[..., 2] = wrap_angle(moved[..., 2])
+    return moved
 
 
 def between(start: ArrayLike, end: ArrayLike) -> Array:
@@ -99,10 +101,11 @@ def between(start: ArrayLike, end: ArrayLike) -> Array:
         cos, sin, dx, dz = math.cos(heading), math.sin(heading), end_x - x, end_z - z
         turn = (end_heading - heading + math.pi) % (2 * math.pi) - math.pi
         return np.array([cos * dx - sin * dz, sin * dx + cos * dz, turn])
-    cos, sin = np.cos(start[..., 2]), np.sin(start[..., 2])
-    dx, dz, turn = np.moveaxis(end - start, -1, 0)
-    turn = (turn + np.pi) % (2 * np.pi) - np.pi
-    return np.stack([cos * dx - sin * dz, sin * dx + cos * dz, turn], axis=-1)
+    cos, sin, moved = np.cos(start[..., 2]), np.sin(start[..., 2]), np.asarray(end - start)
+    dx, dz = moved[..., 0], moved[..., 1]
+    moved[..., 0], moved[..., 1] = cos * dx - sin * dz, sin * dx + cos * dz
+    moved[..., 2] = (moved[..., 2] + np.pi) % (2 * np.pi) - np.pi
+    return moved
 
 
 def arc_log(motion: Array) -> Array:

@@ -36,12 +36,11 @@ class Trajectory:
         times, count = np.asarray(times_ns, dtype=np.int64), len(self.t_ns)
         if count == 1:
             return Trajectory(times, np.repeat(self.poses, len(times), axis=0))
-        after = np.clip(np.searchsorted(self.t_ns, times, side="left"), 1, count - 1)
-        begin, end = self.t_ns[after - 1], self.t_ns[after]
-        fraction = np.clip((times - begin) / (end - begin), 0.0, 1.0)
-        motion = between(self.poses[after - 1], self.poses[after])
-        passed = arc_motion(arc_log(motion), motion[:, 2] * fraction, fraction)
-        return Trajectory(times, compose(self.poses[after - 1], passed))
+        before = self.t_ns[1:-1].searchsorted(times)
+        start, begin, end = self.poses[before], self.t_ns[before], self.t_ns[before + 1]
+        fraction = np.minimum(np.maximum((times - begin) / (end - begin), 0.0), 1.0)
+        motion = between(start, self.poses[before + 1])
+        return Trajectory(times, compose(start, arc_motion(arc_log(motion), motion[:, 2] * fraction, fraction)))
 
 
 def bridged(odometry: Trajectory) -> tuple[Trajectory, NDArray[np.int64]]:
