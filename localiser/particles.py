@@ -8,6 +8,7 @@ the particles, not with the space. Nothing is random.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -66,8 +67,8 @@ class Particles:
 
         The covariance is that between the particles and, of the constant errors, that within each.
         """
-        mean, residual, weight = centred(self)
-        cov = np.asarray((residual * weight) @ residual.T)
+        mean, residual = centred(self.columns, self.weight)
+        cov = np.asarray((residual * self.weight) @ residual.T)
         if self.constant_error_cov.any():
             # Within each particle the camera is where it is, not so the robot.
             by_constant_error = np.eye(len(self.names))[:, len(POSE) :]
@@ -104,8 +105,8 @@ class Estimate:
 
 def normalised(log_weight: Array) -> Array:
     """Return weights (N,) that sum to 1; raises ValueError when all are zero or one is nan."""
-    top = log_weight.max(initial=-np.inf)
-    if not np.isfinite(top):
+    top = float(log_weight.max(initial=-np.inf))
+    if not math.isfinite(top):
         raise ValueError("no particle has a finite weight")
     weight = np.exp(log_weight - top)
     return np.asarray(weight / weight.sum())
@@ -113,9 +114,9 @@ def normalised(log_weight: Array) -> Array:
 
 def log_sum(log_weight: Array) -> float:
     """Return log Σ exp(log_weight) of (N,), -inf where no particle has any: faster than `np.logaddexp.reduce`."""
-    top = log_weight.max(initial=-np.inf)
-    if not np.isfinite(top):
-        return float(top)
+    top = float(log_weight.max(initial=-np.inf))
+    if not math.isfinite(top):
+        return top
     return float(top + np.log(np.exp(log_weight - top).sum()))
 
 
@@ -157,8 +158,8 @@ def spread(particles: Particles, rng: np.random.Generator) -> Particles:
     dimensions: poses, since constant errors follow from their paths [Silverman 1986; Musso, Oudjane, Le Gland 2001].
     """
     width = float(len(particles) ** (-1.0 / (len(POSE) + 4)))
-    mean, residual, weight = centred(particles)
-    variance, axes = np.linalg.eigh((residual * weight) @ residual.T)
+    mean, residual = centred(particles.columns, particles.weight)
+    variance, axes = np.linalg.eigh((residual * particles.weight) @ residual.T)
     draws = axes @ (np.sqrt(np.maximum(variance, 0.0))[:, None] * rng.standard_normal(residual.shape))
     columns = mean[:, None] + np.sqrt(1.0 - width**2) * residual + width * draws
     columns[2] = wrap_angle(columns[2])
@@ -180,14 +181,13 @@ def thinned(particles: Particles, count: int) -> Particles:
     return only(particles, slice(None, None, max(len(particles) // count, 1)))
 
 
-def centred(particles: Particles) -> tuple[Array, Array, Array]:
-    """Return the weighted mean (D,), what each particle is off it (D, N), and the weights (N,)."""
-    weight = particles.weight
-    mean = np.array([weight @ column for column in particles.columns])
-    mean[2] = circular_mean(particles["heading"], weight)
-    residual = particles.columns - mean[:, None]
+def centred(columns: Array, weight: Array) -> tuple[Array, Array]:
+    """Return the mean (D,) of particles (D, N) of weight (N,), and what each is off it (D, N)."""
+    mean = np.array([weight @ column for column in columns])
+    mean[2] = circular_mean(columns[2], weight)
+    residual = columns - mean[:, None]
     residual[2] = wrap_angle(residual[2])
-    return mean, residual, weight
+    return mean, residual
 
 
 # -- resampling: on average as many offspring as the weight says ------------------------------------------------------
@@ -264,7 +264,7 @@ def find_clusters(poses: Array, weight: Array, *, mass: float = 0.95) -> Cluster
     if not np.isfinite(total) or total <= 0:
         raise ValueError(f"weights sum to {total}")
     share = weight / total
-    if (np.ptp(poses, axis=0) < [CELL_M, CELL_M, CELL_RAD]).all():  # no larger than a cell, as while a place is tracked
+    if (np.ptp(poses.T.copy(), axis=1) < [CELL_M, CELL_M, CELL_RAD]).all():  # as while a place is tracked
         return _summarised(poses, share, np.zeros(len(poses), dtype=np.int64))
     cells, cell_of_pose = _cells(poses)
     # The fewest cells whose weight adds up to `mass`. Rounding must not let a cell of next to nothing in where all the
@@ -316,10 +316,9 @@ def _connected(cells: Indices) -> Indices:
 def _summarised(poses: Array, share: Array, part: Indices) -> Clusters:
     """Return weight, mean and covariance of the poses (N, 3) with the same part (N,) ≥ 0, heaviest first."""
     inside = np.argsort(part, kind="stable")[np.count_nonzero(part < 0) :]
-    first = np.flatnonzero(np.diff(part[inside], prepend=-1))  # of each part, whose poses follow each other
-    count = np.diff(first, append=len(inside))
-    share = share[inside]
-    x, z, heading = poses[inside].T.copy()
+    count = np.bincount(part[inside])
+    first = np.cumsum(count) - count  # of each part, whose poses follow each other
+    share, (x, z, heading) = share[inside], np.take(poses.T, inside, axis=1)
     sums = np.add.reduceat(share * [np.ones_like(x), x, z, *cos_sin(heading)], first, axis=1)
     weight = sums[0]
     mean_x, mean_z, cos, sin = sums[1:] / weight

@@ -17,6 +17,7 @@ direction in which the camera is moved, so driving straight ahead determines it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Annotated, Protocol
@@ -113,8 +114,8 @@ class MotionParameters:
         covariance (vision) errs by a draw from that instead, and tells nothing of them.
         """
         direction, ahead_m, noise, effects, _ = _step_of(increment, self)
-        effect, none = dict(zip(CONSTANT_ERRORS, effects, strict=True)), np.zeros(3)
-        by_constant_error = np.array([effect.get(name, none) for name in particles.names[3:]]).reshape(-1, 3).T
+        of_others = np.zeros((3, len(particles.constant_error_cov)))
+        by_constant_error = effects.T if particles.names[3:] == CONSTANT_ERRORS else of_others
         cov = by_constant_error @ particles.constant_error_cov @ by_constant_error.T + noise
         variance, axes = np.linalg.eigh(cov)
         root = np.asarray(axes * np.sqrt(np.maximum(variance, 0.0)))
@@ -124,7 +125,8 @@ class MotionParameters:
             start[2] += particles[CAMERA_YAW]  # of the camera, by which the constant errors are seen
         cos, sin = cos_sin(start[2] + direction)
         expected = by_constant_error @ particles.columns[3:]
-        expected += np.array([[ahead_m], [0.0], [increment.mean[2]]])
+        expected[0] += ahead_m
+        expected[2] += increment.mean[2]
         return Step(start, cos, sin, expected, by_constant_error, root, whitened)
 
     def stepped(self, particles: Particles, step: Step, normal: Array, increment: Increment) -> Particles:
@@ -137,11 +139,15 @@ class MotionParameters:
         compiled(step_loop)(step.start, step.cos, step.sin, step.expected, step.root, normal, columns)
         gain = particles.constant_error_cov @ step.by_constant_error.T @ step.whitened
         columns[3:] = particles.columns[3:] + gain @ normal
+        cov = particles.constant_error_cov - gain @ gain.T
         if CAMERA_YAW in particles.names:
-            columns[2] -= columns[particles.names.index(CAMERA_YAW)]
+            columns[2] -= columns[-1]
         columns[2] = wrap_angle(columns[2])
-        moved = replace(particles, columns=columns, constant_error_cov=particles.constant_error_cov - gain @ gain.T)
-        return forgotten(projected(moved) if step.by_constant_error.any() else moved, increment.path_m, self.bias)
+        if step.by_constant_error.any():
+            cov += project(columns, particles.weight)
+        if particles.names[3:] == CONSTANT_ERRORS and increment.path_m > 0:
+            cov = forget(columns, cov, increment.path_m, self.bias)
+        return replace(particles, columns=columns, constant_error_cov=cov)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,15 +219,15 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
     the turn comes before the translation, which the camera's own yaw turns the other way. Derivatives are by
     `CONSTANT_ERRORS`, of which an increment that wheels alone did not measure tells nothing.
     """
-    (right, backward), turn = increment.mean[:2], float(increment.mean[2])
+    right, backward, turn = increment.mean.tolist()
     # As a line, forward and backward count alike; straight ahead when the robot stood.
-    is_driven = np.hypot(right, backward) >= 1e-9
+    is_driven = math.hypot(right, backward) >= 1e-9
     direction = float(wrap_half_turn(np.arctan2(-right, -backward))) if is_driven else turn / 2
     from_robot = _from_step(direction).T
     ahead_m = float(increment.mean[:2] @ from_robot[0, :2])
     distance_var, turn_var = noise_variances(increment, parameters)
-    noise = np.diag([distance_var, SLIP**2 * distance_var + ahead_m**2 * turn_var / 2, turn_var])
-    noise[1, 2] = noise[2, 1] = ahead_m * turn_var / 2
+    left_var, left_turn = SLIP**2 * distance_var + ahead_m**2 * turn_var / 2, ahead_m * turn_var / 2
+    noise = np.array([[distance_var, 0.0, 0.0], [0.0, left_var, left_turn], [0.0, left_turn, turn_var]])
     by_wheels = [
         (ahead_m, 0.0, 0.0),  # of the scale of distances
         (0.0, ahead_m * turn / 2, turn),  # of turns
@@ -231,7 +237,7 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
     ]
     effects = np.array(by_wheels)
     if increment.cov.any():
-        noise, effects = np.asarray(noise + from_robot @ increment.cov @ from_robot.T), np.zeros(effects.shape)
+        noise, effects = np.asarray(noise + from_robot @ increment.cov @ from_robot.T), np.zeros((5, 3))
     by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
     doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
     return direction, ahead_m, noise, effects, np.asarray(from_robot.T @ (noise + doubt) @ from_robot)
@@ -253,45 +259,38 @@ def _in_map(steps: Array, cos: Array, sin: Array) -> Array:
     return moved
 
 
-def projected(particles: Particles) -> Particles:
-    """Return the particles with constant errors whose means are linear in the camera's pose.
+def project(columns: Array, weight: Array) -> Array:
+    """Make the constant errors of particles (D, N) linear in the camera's pose; return what is lost, a cov (B, B).
 
-    What is lost widens their covariance. Mean and covariance of poses and constant errors together stay as they are, so
-    nothing is lost where they are normal. It keeps what is known of constants from depending on which of many past
-    paths happened to survive resampling.
+    That widens their covariance. Mean and covariance of poses and constant errors together stay as they are, so nothing
+    is lost where they are normal. It keeps what is known of constants from depending on which of many past paths
+    happened to survive resampling. weight: (N,) of sum 1.
     """
-    _, residual, weight = centred(particles)
-    pose, bias = residual[:3].copy(), residual[3:]
-    if CAMERA_YAW in particles.names:
-        pose[2] += residual[particles.names.index(CAMERA_YAW)]
+    _, residual = centred(columns, weight)
+    pose, errors = residual[:3], residual[3:]
+    pose[2] += errors[-1]
     pose_cov = (pose * weight) @ pose.T
     # In units of their spread, so that metres and radians are cut off alike.
-    unit = np.sqrt(np.maximum(np.diag(pose_cov), 1e-300))
+    unit = np.sqrt(np.maximum(pose_cov.diagonal(), 1e-300))
     variance, axes = np.linalg.eigh(pose_cov / np.outer(unit, unit))
     axes /= np.sqrt(np.where(variance > 1e-9 * variance[-1], variance, np.inf)) * unit[:, None]
-    inverse = axes @ axes.T
-    rest = (bias * weight) @ pose.T @ inverse @ pose
-    rest -= bias
-    lost = (rest * weight) @ rest.T
-    return _with_changed(particles, rest, particles.constant_error_cov + lost)
+    change = (errors * weight) @ pose.T @ (axes @ axes.T) @ pose
+    change -= errors
+    _add(columns, change)
+    return np.asarray((change * weight) @ change.T)
 
 
-def forgotten(particles: Particles, path_m: float, parameters: ConstantErrorParameters) -> Particles:
-    """Return the particles after a way, with constant errors that drifted: an Ornstein-Uhlenbeck process."""
-    if particles.names[3:] != CONSTANT_ERRORS or path_m == 0:
-        return particles
+def forget(columns: Array, cov: Array, path_m: float, parameters: ConstantErrorParameters) -> Array:
+    """Let the constant errors of particles (D, N) drift on a way, an Ornstein-Uhlenbeck process; return their cov."""
     kept = np.exp(-path_m / parameters.memory_m)
-    cov = kept**2 * particles.constant_error_cov + (1 - kept**2) * parameters.cov
-    return _with_changed(particles, (kept - 1) * particles.columns[3:], cov)
+    _add(columns, (kept - 1) * columns[3:])
+    return np.asarray(kept**2 * cov + (1 - kept**2) * parameters.cov)
 
 
-def _with_changed(particles: Particles, change: Array, cov: Array) -> Particles:
-    """Return the particles with other constant errors (B, N) and their cov, the camera's heading being as it was."""
-    columns = particles.columns.copy()
+def _add(columns: Array, change: Array) -> None:
+    """Change the constant errors (B, N) of particles (D, N), the camera's heading staying as it is."""
     columns[3:] += change
-    if CAMERA_YAW in particles.names:
-        columns[2] = wrap_angle(columns[2] - change[particles.names.index(CAMERA_YAW) - 3])
-    return replace(particles, columns=columns, constant_error_cov=cov)
+    columns[2] = wrap_angle(columns[2] - change[-1])
 
 
 def step_loop(start: Array, cos: Array, sin: Array, expected: Array, root: Array, normal: Array, end: Array) -> None:

@@ -19,7 +19,7 @@ from localiser.filter.events import moves_between
 from localiser.geometry import Array, Increment, Trajectory, arc_motion, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap, sight
 from localiser.motion import EXACT, MotionParameters, covariance_of
-from localiser.motion.odometry_model import CONSTANT_ERRORS, ConstantErrorParameters, forgotten
+from localiser.motion.odometry_model import CONSTANT_ERRORS, ConstantErrorParameters, forget
 from localiser.observation import EdgeObservation, ObservationParameters
 from localiser.particles import POSE, Particles
 from localiser.replay.run import start_of
@@ -150,19 +150,18 @@ def test_a_start_says_of_the_robots_heading_what_it_said_and_of_the_yaw_the_prio
 
 def test_an_estimate_is_forgotten_towards_the_prior_the_cameras_heading_staying_as_it_was() -> None:
     rng = np.random.default_rng(2)
-    cloud = replace(start(100), constant_error_cov=np.zeros((5, 5)))
-    cloud = replace(cloud, columns=np.vstack([cloud.columns[:3], rng.standard_normal((5, 100)) * SIGMA[:, None]]))
-    parameters = replace(WIDE, memory_m=20.0)
-    later = forgotten(cloud, 20.0, parameters)
-    np.testing.assert_allclose(later.columns[3:], cloud.columns[3:] / np.e)
-    np.testing.assert_allclose(later.constant_error_cov, (1 - np.exp(-2)) * WIDE.cov)
-    turned = wrap_angle(later["heading"] + later["camera_yaw"] - cloud["heading"] - cloud["camera_yaw"])
+    columns = np.vstack([start(100).columns[:3], rng.standard_normal((5, 100)) * SIGMA[:, None]])
+    later, in_pieces, parameters = columns.copy(), columns.copy(), replace(WIDE, memory_m=20.0)
+    cov = forget(later, np.zeros((5, 5)), 20.0, parameters)
+    np.testing.assert_allclose(later[3:], columns[3:] / np.e)
+    np.testing.assert_allclose(cov, (1 - np.exp(-2)) * WIDE.cov)
+    turned = wrap_angle(later[2] + later[-1] - columns[2] - columns[-1])  # the camera's heading
     np.testing.assert_allclose(turned, 0, atol=1e-12)
-    in_pieces = cloud
+    cov_in_pieces = np.zeros((5, 5))
     for _ in range(10):
-        in_pieces = forgotten(in_pieces, 2.0, parameters)
-    np.testing.assert_allclose(in_pieces.columns, later.columns, atol=1e-12)
-    np.testing.assert_allclose(in_pieces.constant_error_cov, later.constant_error_cov, atol=1e-12)
+        cov_in_pieces = forget(in_pieces, cov_in_pieces, 2.0, parameters)
+    np.testing.assert_allclose(in_pieces, later, atol=1e-12)
+    np.testing.assert_allclose(cov_in_pieces, cov, atol=1e-12)
 
 
 def test_what_vision_measured_tells_nothing_of_the_wheels() -> None:
