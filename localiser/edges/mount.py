@@ -72,14 +72,13 @@ def nadir_miss(segments: Segments, camera: Camera, plumb_sigma_rad: float, *, le
     (c + e s)². Also right when the tilt is 0.
     """
     support = camera.ideal.upright_from_pixels(segments.support_px)
-    across, up = (support[:, 1] - support[:, 0]).T
-    a, e = support.mean(axis=1).T
+    (across, up), (a, e) = (support[:, 1] - support[:, 0]).T, (support[:, 0] + support[:, 1]).T / 2
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     depth = c + e * s
     angle = np.sin(geometry.wrap_half_turn(np.arctan2(across, up) - np.arctan2(a * s, depth)))
     squared = (a * s) ** 2 + depth**2
     per_mount = np.stack([-a / squared, c * depth / squared, _per_lens(support, camera, lens_sigma)], axis=-1)
-    length_px = np.linalg.norm(segments.support_px[:, 1] - segments.support_px[:, 0], axis=-1)
+    length_px = np.sqrt(((segments.support_px[:, 1] - segments.support_px[:, 0]) ** 2).sum(axis=-1))
     sigma = np.sqrt(2.0) * segments.end_sigma_px / length_px
     return NadirMiss(angle, per_mount, sigma, np.full(len(angle), plumb_sigma_rad))
 

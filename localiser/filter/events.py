@@ -79,7 +79,7 @@ def moves_between(
     raw = track_of(odometry)
     track, jumps = bridged(raw)
     times = track.t_ns
-    jumped = bool(((times[jumps] > start_ns) & (times[jumps - 1] < t_ns)).any())
+    jumped = any(times[jump] > start_ns and times[jump - 1] < t_ns for jump in jumps)
     knots_ns = np.array([start_ns, *times[(times > start_ns) & (times < t_ns)], t_ns])
     late_ns = knots_ns - round(1e9 * delay_s)
     knots = track.sampled(np.append(knots_ns, late_ns)).poses.reshape(2, -1, 3)

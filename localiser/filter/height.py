@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import numpy as np
 
@@ -114,7 +115,7 @@ class Height:
         there = np.exp(-0.5 * off**2) * (e_high - e_low) / (np.sqrt(2 * np.pi) * sigma)
         log_fits = [np.log(missed + (1.0 - missed) * there).sum(axis=0) for missed in MISSED_SHARES]
         log_fit = self.novelty * np.logaddexp.reduce(log_fits)
-        common = _APART_M * np.median(np.abs(per_height)) / sigma
+        common = _APART_M * median(np.abs(per_height).tolist()) / sigma
         fit = np.exp(-0.5 * common**2) @ np.exp(log_fit - log_fit.max())
         known = (1.0 - FORGOTTEN) * self.probability + FORGOTTEN * _STATED
         return Height(known * fit / (known @ fit))

@@ -121,14 +121,13 @@ def _log_carried(continuing: Array, usual: float) -> tuple[float, float]:
     come and go so often that they tell nothing.
     """
     log_fit = np.log1p(FRACTIONS * (continuing[:, None] - 1.0)).sum(axis=0)
-    carried = log_fit + _log_beta(CARRIED)
-    stayed = log_fit + _log_beta(max(usual, 0.5))
+    carried, stayed = log_fit + _log_beta(np.array([[CARRIED], [max(usual, 0.5)]]))
     weight = np.exp(stayed - stayed.max())
     return float(np.logaddexp.reduce(carried) - np.logaddexp.reduce(stayed)), float(weight @ FRACTIONS / weight.sum())
 
 
-def _log_beta(mean: float) -> Array:
-    """Return the logarithm of the beta density at `FRACTIONS`, up to a constant that both hypotheses share."""
+def _log_beta(mean: Array) -> Array:
+    """Return the logarithms (H, K) of beta densities of mean (H, 1) at `FRACTIONS`, up to a constant that all share."""
     a, b = CONCENTRATION * mean, CONCENTRATION * (1.0 - mean)
     density = (a - 1.0) * np.log(FRACTIONS) + (b - 1.0) * np.log1p(-FRACTIONS)
-    return np.asarray(density - np.logaddexp.reduce(density))
+    return np.asarray(density - np.logaddexp.reduce(density, axis=1, keepdims=True))

@@ -196,17 +196,18 @@ class Association:
 
         measured, measured_var = self.frame.measured
         order = np.argsort(self.angle, kind="stable")
-        gap = np.diff(self.angle[order], prepend=-np.inf, append=np.inf)
+        gap = np.diff(np.concatenate([[-np.inf], self.angle[order], [np.inf]]))
         window = BESIDE_M * self.per_m
         window[order] = np.minimum(window[order], np.minimum(gap[:-1], gap[1:]) / 2)
         apart = measured - self.angle[:, None]
         pair, edge = np.nonzero((np.abs(apart) < window[:, None]) & np.isfinite(measured_var))
-        first = np.flatnonzero(np.diff(pair, prepend=-1))  # of each landmark, whose edges follow each other
+        count = np.bincount(pair)
+        first = (np.cumsum(count) - count)[count > 0]  # of each landmark, whose edges follow each other
         stated_var = self.map_var[pair] / self.sighting.map_scale**2
         variance = stated_var * scales[:, None] ** 2 + measured_var[edge]
         inside = erf(window[pair] / np.sqrt(2.0 * variance)) * np.sqrt(2 * np.pi * variance)
         density = np.exp(-0.5 * apart[pair, edge] ** 2 / variance) / inside
-        ratio = np.add.reduceat(2.0 * window[pair] / np.bincount(pair)[pair] * density, first, axis=1)
+        ratio = np.add.reduceat(2.0 * window[pair] / count[pair] * density, first, axis=1)
         by_rate = np.log1p(INLIER_RATES[:, None, None] * (ratio - 1.0)).sum(axis=2)
         return np.asarray(log_sum_of_rates(by_rate) - np.log(len(INLIER_RATES)))
 

@@ -147,7 +147,7 @@ def _missed_by(image: EarlierFrame, others: Sequence[EarlierFrame]) -> Array:
 def grouped_density(now: Frame) -> Array:
     """Return Λ (E,), relative to an even density."""
     others, edges = now.clutter.copy(), now.clutter.copy()
-    others[:, _VAR], edges[:, _VAR] = 0.0, np.nan_to_num(edges[:, _VAR])
+    others[:, _VAR], edges[:, _VAR] = 0.0, np.fmax(edges[:, _VAR], 0.0)  # 0 where it is not known
     still = EarlierFrame(now, np.zeros(3), GROUP_RAD**2)
     density, _ = continued_density(now, still, ROW_PX, edges, others)
     np.fill_diagonal(density, 0.0)

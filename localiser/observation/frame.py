@@ -140,7 +140,7 @@ class Frame:
         e, cut = ends_lower_first(ends_px, camera)
         _, _, e_low, e_high = camera.upright_bounds
         row = ROW_PX / camera.focal_px
-        near = np.exp(-0.5 * ((e[:, None] - e[None]) / row) ** 2).sum(axis=1) - 1.0
+        near = np.exp(-0.5 * ((e.T[:, :, None] - e.T[:, None]) / row) ** 2).sum(axis=1).T - 1.0
         room = count / (1.0 / (e_high - e_low) + near / (np.sqrt(2 * np.pi) * row))
         sigma = known_sigma * np.hypot(1.0, self.edges.height_sigma_m * end_per_height(e, camera) / known_sigma)
         peak = (1.0 - MISSED) * room / (np.sqrt(2 * np.pi) * sigma)
