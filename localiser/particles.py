@@ -183,7 +183,7 @@ def thinned(particles: Particles, count: int) -> Particles:
 
 def centred(columns: Array, weight: Array) -> tuple[Array, Array]:
     """Return the mean (D,) of particles (D, N) of weight (N,), and what each is off it (D, N)."""
-    mean = np.array([weight @ column for column in columns])
+    mean = (columns[:, None] @ weight[:, None]).ravel()  # a dot product for each column
     mean[2] = circular_mean(columns[2], weight)
     residual = columns - mean[:, None]
     residual[2] = wrap_angle(residual[2])

@@ -267,15 +267,14 @@ def project(columns: Array, weight: Array) -> Array:
     happened to survive resampling. weight: (N,) of sum 1.
     """
     _, residual = centred(columns, weight)
-    pose, errors = residual[:3], residual[3:]
-    pose[2] += errors[-1]
-    pose_cov = (pose * weight) @ pose.T
+    residual[2] += residual[-1]
+    pose = residual[:3]
+    with_pose = (residual * weight) @ pose.T
     # In units of their spread, so that metres and radians are cut off alike.
-    unit = np.sqrt(np.maximum(pose_cov.diagonal(), 1e-300))
-    variance, axes = np.linalg.eigh(pose_cov / np.outer(unit, unit))
+    unit = np.sqrt(np.maximum(with_pose.diagonal(), 1e-300))
+    variance, axes = np.linalg.eigh(with_pose[:3] / np.outer(unit, unit))
     axes /= np.sqrt(np.where(variance > 1e-9 * variance[-1], variance, np.inf)) * unit[:, None]
-    change = (errors * weight) @ pose.T @ (axes @ axes.T) @ pose
-    change -= errors
+    change = with_pose[3:] @ (axes @ axes.T) @ pose - residual[3:]
     _add(columns, change)
     return np.asarray((change * weight) @ change.T)
 
