@@ -106,7 +106,7 @@ class Height:
         return replace(self, novelty=min(self.novelty + novelty, 1.0))
 
     def after(self, offset: Array, per_height: Array, camera: Camera) -> Height:
-        """Return what is known after the ends (P,) of an image, `end_offsets` at the stated height."""
+        """Return what is known after the ends (P,) of an image, `Association.end_offsets` at the stated height."""
         if not len(offset):
             return replace(self, novelty=0.0)
         sigma = ENDPOINT_SIGMA_PX / camera.focal_px / np.sqrt(2)  # of what is each end's own, and of what is common

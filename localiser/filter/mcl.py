@@ -44,7 +44,6 @@ from localiser.observation import (
     Observation,
     ObservationParameters,
     Sighting,
-    end_offsets,
     novelty_of,
     persistent_clutter,
 )
@@ -218,7 +217,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     if weighed is not None and mcl.search is not None:
         pose, points = located.estimate.pose_as_seen, mcl.landmark_map.points
         state.belief = state.belief.seen(located.matches, points, pose, image.jump.novelty)
-    state.height = _height(mcl, state, located, image)
+    state.height = _height(mcl, state, located, association, image)
     state.map_error = _map_error(mcl, state, located, association, image.novelty)
     # Resample: as many particles as the way needs, from those that explain the edges.
     state.particles = _resampled(mcl, state, weighed, located.ess, rng)
@@ -484,17 +483,15 @@ def _height_with_poses(mcl: Mcl, state: FilterState, few: Particles, sighting: S
     return state.height.with_poses(log_likelihood, state.height.novelty if state.weighed else 1.0)
 
 
-def _height(mcl: Mcl, state: FilterState, located: Located, image: _Image) -> Height:
+def _height(mcl: Mcl, state: FilterState, located: Located, association: Association | None, image: _Image) -> Height:
     """Return what is known of the camera's height after an image, while a place is tracked."""
-    edges = image.sighting.edges
-    if mcl.level is None or mcl.edges is None or state.particles is None or not len(edges):
+    if mcl.level is None or association is None or state.particles is None or not len(located.edges):
         return state.height
     height = state.height.seen(image.novelty if state.weighed else 0.0)
     if height.novelty < LEAST_NOVELTY or height.is_unknown or is_measured(mcl.level.camera, located.edges):
         return height
     stated = mcl.level.camera.at(located.edges.mount)
-    offsets = end_offsets(located.matches, located.estimate.pose_as_seen, edges, stated, mcl.landmark_map)
-    return height.after(*offsets, stated)
+    return height.after(*association.end_offsets(located.matches, located.estimate.pose_as_seen, stated), stated)
 
 
 def _map_error(

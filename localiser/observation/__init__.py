@@ -1,6 +1,6 @@
 """The observation: how well what was measured fits a pose, log p(sighting | particle)."""
 
-from localiser.observation.association import Association, end_offsets
+from localiser.observation.association import Association
 from localiser.observation.clutter import EarlierFrame, persistent_clutter, scene_clutter
 from localiser.observation.edge_observation import EdgeObservation, View
 from localiser.observation.frame import SIGMA_PX as ENDPOINT_SIGMA_PX

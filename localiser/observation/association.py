@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.camera import Camera
-from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, image_heights, in_camera, in_view_of_cells_loop, kept_with, reach_of
@@ -25,7 +24,6 @@ from localiser.observation.frame import (
     UNKNOWN,
     Frame,
     Indices,
-    ends_lower_first,
 )
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.sighting import Matches, Sighting, Targets
@@ -211,26 +209,22 @@ class Association:
         by_rate = np.log1p(INLIER_RATES[:, None, None] * (ratio - 1.0)).sum(axis=2)
         return np.asarray(log_sum_of_rates(by_rate) - np.log(len(INLIER_RATES)))
 
+    def end_offsets(self, matches: Matches, pose: Array, camera: Camera) -> tuple[Array, Array]:
+        """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
 
-def end_offsets(
-    matches: Matches, pose: Array, edges: Edges, camera: Camera, landmark_map: LandmarkMap
-) -> tuple[Array, Array]:
-    """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
+        Of P ends inside the image: the measured minus the expected upright height (P,), and the derivative (P,) of the
+        expected one by the camera's height above the floor, 1/m. camera: at the height that is meant.
 
-    Of P ends inside the image: the measured minus the expected upright height (P,), and the derivative (P,) of the
-    expected one by the camera's height above the floor, 1/m.
-
-    A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
-    that ∂e/∂h = -d / (d c - v s)², where h is the height of the camera, and c and s are of its tilt.
-    """
-    edge = np.flatnonzero((matches.landmark >= 0) & np.isfinite(edges.ends_px).all(axis=(1, 2)))
-    landmark, mount = matches.landmark[edge], camera.mount
-    _, ahead_m = in_camera(camera.pose_in_map(pose[None]), landmark_map.points[landmark])
-    ends_m = np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])
-    expected = np.column_stack(image_heights(camera, ahead_m[0], *ends_m.T))
-    measured, cut = ends_lower_first(edges.ends_px[edge], camera)
-    _, _, e_low, e_high = camera.upright_bounds
-    inside = np.isfinite(ends_m) & (expected > e_low) & (expected < e_high) & ~cut
-    depth = ahead_m[0, :, None] * np.cos(mount.tilt_rad) - (ends_m - mount.height_m) * np.sin(mount.tilt_rad)
-    per_height = -ahead_m[0, :, None] / depth**2
-    return (measured - expected)[inside], per_height[inside]
+        A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
+        that ∂e/∂h = -d / (d c - v s)², where h is the height of the camera, and c and s are of its tilt.
+        """
+        edge = np.flatnonzero(matches.landmark >= 0)
+        landmark, mount, ends, landmark_map = matches.landmark[edge], camera.mount, self.frame.ends, self.landmark_map
+        _, ahead_m = in_camera(camera.pose_in_map(pose[None]), landmark_map.points[landmark])
+        ends_m = np.column_stack([landmark_map.bottom_m[landmark], landmark_map.top_m[landmark]])
+        expected = np.column_stack(image_heights(camera, ahead_m[0], *ends_m.T))
+        _, _, e_low, e_high = camera.upright_bounds
+        inside = np.isfinite(ends_m) & (expected > e_low) & (expected < e_high) & ~ends.cut[edge]
+        depth = ahead_m[0, :, None] * np.cos(mount.tilt_rad) - (ends_m - mount.height_m) * np.sin(mount.tilt_rad)
+        per_height = -ahead_m[0, :, None] / depth**2
+        return (ends.e[edge] - expected)[inside], per_height[inside]
