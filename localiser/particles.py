@@ -177,8 +177,8 @@ def only(particles: Particles, chosen: NDArray[np.bool_] | slice) -> Particles:
 
 
 def thinned(particles: Particles, count: int) -> Particles:
-    """Return every k-th of the particles, with its weight: `count` of them, or somewhat more."""
-    return only(particles, slice(None, None, max(len(particles) // count, 1)))
+    """Return every k-th of the particles, with its weight: at most `count` of them."""
+    return only(particles, slice(None, None, -(-len(particles) // count)))
 
 
 def centred(columns: Array, weight: Array) -> tuple[Array, Array]:

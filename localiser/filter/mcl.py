@@ -198,7 +198,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
         found = _weighed(mcl, state, state.particles, few, image, rng)
         # Do edges and map contradict the wheels? Then the robot moved as the edges say.
-        motion = _contradicted(mcl, state, sighting, image, rng)
+        motion = _contradicted(mcl, state, sighting, found.log_fit, image, rng)
         if motion is not None:
             drive = replace(drive, moves=[motion], increment=motion)
             image = _received(mcl, state, sighting, drive)
@@ -327,9 +327,12 @@ def _weighed(
 
 
 def _contradicted(
-    mcl: Mcl, state: FilterState, sighting: Sighting, image: _Image, rng: np.random.Generator
+    mcl: Mcl, state: FilterState, sighting: Sighting, log_fit: float, image: _Image, rng: np.random.Generator
 ) -> Increment | None:
-    """Return how the robot moved as the edges say, where they and the map contradict the wheels; None where not."""
+    """Return how the robot moved as the edges say, where they and the map contradict the wheels; None where not.
+
+    log_fit: of the map, where the wheels lead.
+    """
     seconds, seen, increment = (sighting.t_ns - state.at_ns) / 1e9, state.seen, image.drive.increment
     odometer, observation = mcl.odometer, mcl.edges
     if (
@@ -345,7 +348,10 @@ def _contradicted(
     if not len(sighting.edges) or not len(seen.edges) or state.particles is None:
         return None
     few, level = thinned(state.particles, FEW_TOLD), replace(image.sighting, persistent=None)
-    before, now = (one.edges.longest(MOST_FOLLOWED) for one in (seen, sighting))
+
+    def images() -> TwoImages:
+        before, now = (one.edges.longest(MOST_FOLLOWED) for one in (seen, sighting))
+        return TwoImages.of(before, now, odometer.camera)
 
     def by_map(motion: Increment) -> float:
         cloud = mcl.moved(few, [motion], rng)
@@ -353,7 +359,8 @@ def _contradicted(
         return float(log_sum(cloud.log_weight + fit) - log_sum(cloud.log_weight))
 
     state.wheels, motion = state.wheels.after(
-        TwoImages.of(before, now, odometer.camera),
+        np.array([log_fit, image.jump.log_fit]),
+        images,
         by_map,
         increment,
         covariance_of(mcl.motion, increment),

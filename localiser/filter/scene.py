@@ -48,12 +48,13 @@ class Jump:
     """How new an image is, and whether the robot was carried since the last one.
 
     novelty: of the scene, 0 … 1, by the way. log_ratio: log p(edges | carried) / p(edges | not carried).
-    path_m: driven since the last image.
+    path_m: driven since the last image. log_fit: log p(edges | last image, motion), over that of new edges.
     """
 
     novelty: float
     log_ratio: float = 0.0
     path_m: float = 0.0
+    log_fit: float = 0.0
 
     def carried(self, chance: float) -> float:
         """Return the probability of having been carried, whose prior `chance` is that between two scenes."""
@@ -98,13 +99,13 @@ class Scene:
 
         density, _ = scene_clutter(frame, [before(one) for one in images[: max(back - first, 1)][::-1]])
         if images:
-            log_ratio = 0.0
+            log_ratio, log_fit = 0.0, 0.0
             if len(sighting.edges):
                 _, continuing = scene_clutter(frame, [before(images[-1])])
-                log_ratio, fraction = _log_carried(continuing, usual)
+                log_ratio, log_fit, fraction = _log_carried(continuing, usual)
                 usual = USUAL_MEMORY * usual + (1.0 - USUAL_MEMORY) * fraction
             novelty = increment.path_m / SCENE_M + increment.turned_rad / SCENE_RAD
-            jump = Jump(float(min(novelty, 1.0)), log_ratio, float(increment.path_m))
+            jump = Jump(float(min(novelty, 1.0)), log_ratio, float(increment.path_m), log_fit)
         if len(images) > 1 and away[-2] < APART:
             images = images[:-1]
         if jump.log_ratio > WHOLLY_NEW:
@@ -113,8 +114,8 @@ class Scene:
         return Scene((*images, *here), usual, now), density, jump
 
 
-def _log_carried(continuing: Array, usual: float) -> tuple[float, float]:
-    """Return log p(edges | carried) / p(edges | not carried), and the fraction that continue the image before.
+def _log_carried(continuing: Array, usual: float) -> tuple[float, float, float]:
+    """Return log p(edges | carried) / p(edges | not carried), the latter, and how many continue the image before.
 
     continuing: (E,) how much likelier an edge is if it continues one. Each does with the fraction f, so that
     p(edges | f) = Π (1 - f + f · ratio). usual: mean of f of a robot that was not carried. At ½ and below, edges
@@ -122,8 +123,8 @@ def _log_carried(continuing: Array, usual: float) -> tuple[float, float]:
     """
     log_fit = np.log1p(FRACTIONS * (continuing[:, None] - 1.0)).sum(axis=0)
     carried, stayed = log_fit + _log_beta(np.array([[CARRIED], [max(usual, 0.5)]]))
-    weight = np.exp(stayed - stayed.max())
-    return float(np.logaddexp.reduce(carried) - np.logaddexp.reduce(stayed)), float(weight @ FRACTIONS / weight.sum())
+    weight, log_fit = np.exp(stayed - stayed.max()), float(np.logaddexp.reduce(stayed))
+    return float(np.logaddexp.reduce(carried)) - log_fit, log_fit, float(weight @ FRACTIONS / weight.sum())
 
 
 def _log_beta(mean: Array) -> Array:

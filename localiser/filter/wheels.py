@@ -29,7 +29,6 @@ from localiser.visual_odometry import (
     VisualOdometryParameters,
     follow,
     increment_of,
-    log_evidence,
     mixture,
     with_scale,
 )
@@ -69,7 +68,8 @@ class Wheels:
 
     def after(
         self,
-        images: TwoImages,
+        fit: Array,
+        images: Callable[[], TwoImages],
         by_map: Callable[[Increment], float],
         increment: Increment,
         cov: Array,
@@ -78,19 +78,19 @@ class Wheels:
     ) -> tuple[Wheels, Increment | None]:
         """Return what is known after an image, and how the robot moved if the wheels are wrong.
 
-        images: the last one and this, by their longest edges. by_map: returns the logarithm of the mean likelihood of
+        fit: (2,) log-likelihood of the image after the motion of the wheels: by the map, and by the image before.
+        images: returns the last one and this, by their longest edges. by_map: returns the logarithm of the mean likelihood of
         the image over particles after a motion. increment, cov: what the wheels say, and its covariance (3, 3).
         seconds: since the last image.
         """
-        wheels_say = Gaussian(increment.mean, cov + np.diag(LEAST_SIGMA**2))
-        right = np.array([by_map(increment), log_evidence(images, wheels_say)])
-        fits = (right >= UNUSUAL * self.usual).all()
-        usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * right
+        fits = (fit >= UNUSUAL * self.usual).all()
+        usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * fit
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
             return replace(self, wrong=0.0, usual=usual, fit=True), None
         expected = parameters.expected(self.pace, seconds)
-        seen = with_scale(follow(images, [(expected, 0.0)]), walks=False)
-        log_ratio = min(MAP_POWER * (by_map(increment_of(seen)) - right[0]), MOST_TOLD)
+        wheels_say = Gaussian(increment.mean, cov + np.diag(LEAST_SIGMA**2))
+        seen = with_scale(follow(images(), [(expected, 0.0)]), walks=False)
+        log_ratio = min(MAP_POWER * (by_map(increment_of(seen)) - by_map(increment)), MOST_TOLD)
         log_ratio += contradicts(wheels_say, seen, expected)
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
         log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + log_ratio, -50.0, 50.0))

@@ -77,11 +77,6 @@ def _with_range(motion: Gaussian) -> Gaussian:
     return Gaussian(np.append(motion.mean, TYPICAL_INVERSE_RANGE), cov)
 
 
-def log_evidence(images: TwoImages, prior: Gaussian) -> float:
-    """Return the logarithm of the mean likelihood of motions as they are believed."""
-    return log_sum(log_likelihood(images, _with_range(prior).draws(), False)) - float(np.log(_COUNT))
-
-
 def follow(images: TwoImages, priors: Sequence[tuple[Gaussian, float]]) -> Gaussian:
     """Return the motion between two images.
 

@@ -97,7 +97,8 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     known = Wheels(usual=np.array([10.0, 0.0]), pose=np.zeros(3), pace=pace)
     double = Increment.from_mean(np.array([0.0, -0.16, 0.0]))
 
-    told, other = known.after(nothing, lambda _: 2.0, double, 1e-4 * np.eye(3), parameters, 0.2)
+    fit = np.array([2.0, 0.0])
+    told, other = known.after(fit, lambda: nothing, lambda _: 2.0, double, 1e-4 * np.eye(3), parameters, 0.2)
     assert other is None
     told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
     np.testing.assert_allclose(told.pace.mean, parameters.expected(pace, 0.2).mean / 0.2)
