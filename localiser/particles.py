@@ -98,6 +98,13 @@ class Estimate:
         return np.asarray(self.mean[:3] + np.array([0.0, 0.0, yaw]))
 
     @property
+    def cov_as_seen(self) -> Array:
+        """Covariance (3, 3) of this."""
+        turned = np.eye(3, len(self.names))
+        turned[2] += np.array([name == CAMERA_YAW for name in self.names])
+        return np.asarray(turned @ self.cov @ turned.T)
+
+    @property
     def pose_cov(self) -> Array:
         """Covariance (3, 3) of the pose."""
         return self.cov[:3, :3]

@@ -51,7 +51,7 @@ from localiser.particles import POSE, Particles, log_sum, systematic_resample, t
 from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer, TwoImages, increment_of, with_scale
 
-FEW_MOVED = 512  # particles that tell where odometry alone expects all of them
+FEW_MOVED = 512  # particles that tell the height together with poses
 FEW_TOLD = 64  # particles that tell how well a motion predicts an image
 FIRST_THREADS = 4  # at most, that share the first image
 
@@ -186,24 +186,23 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         mcl = mcl.by_edges()
     measured = replace(sighting, map_scale=state.map_error.scale)
     sighting = _from_height(mcl, state, measured)
-    # Drive: how did the robot move, by odometry? A few particles move blindly.
+    # Drive: how did the robot move, by odometry?
     drive = _driven(mcl, state, sighting)
-    few = None if state.particles is None else mcl.moved(thinned(state.particles, FEW_MOVED), drive.moves, rng)
-    if few is not None and _tells_height_with_poses(mcl, state, measured):
+    if state.particles is not None and _tells_height_with_poses(mcl, state, measured):
+        few = mcl.moved(thinned(state.particles, FEW_MOVED), drive.moves, rng)
         state.height = _height_with_poses(mcl, state, few, measured)
         sighting = _from_height(mcl, state, measured)
     image, found = _received(mcl, state, sighting, drive), None
-    if state.particles is not None and few is not None:
+    if state.particles is not None:
         # Predict: every particle moves by its own draw of the motion, at best where the edges say.
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
-        found = _weighed(mcl, state, state.particles, few, image, rng)
+        found = _weighed(mcl, state, state.particles, image, rng)
         # Do edges and map contradict the wheels? Then the robot moved as the edges say.
         motion = _contradicted(mcl, state, sighting, found.log_fit, image, rng)
         if motion is not None:
             drive = replace(drive, moves=[motion], increment=motion)
             image = _received(mcl, state, sighting, drive)
-            few = mcl.moved(thinned(state.particles, FEW_MOVED), drive.moves, rng)
-            found = _weighed(mcl, state, state.particles, few, image, rng)
+            found = _weighed(mcl, state, state.particles, image, rng)
         state.inliers = found.inliers
     state.scene, state.attitude = image.scene, image.attitude
     # Compare: is the robot at another place, or not on this map at all?
@@ -295,28 +294,26 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
     return _Image(drive, sighting, novelty, jump, scene, attitude)
 
 
-def _weighed(
-    mcl: Mcl, state: FilterState, cloud: Particles, few: Particles, image: _Image, rng: np.random.Generator
-) -> Weighed:
-    """Return particles that moved, by the optimal proposal where edges guide them, and are weighed.
-
-    few: some of them, moved by odometry alone.
-    """
+def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng: np.random.Generator) -> Weighed:
+    """Return particles that moved, by the optimal proposal where edges guide them, and are weighed."""
     inliers, observation, parameters, moved = state.inliers.after(image.novelty), mcl.observation, mcl.parameters, None
     if isinstance(observation, EdgeObservation):
         if not state.weighed:  # many particles, many times: all wait for it
             observation = observation.on_processors(FIRST_THREADS)
         elif isinstance(mcl.motion, MotionParameters) and len(image.sighting.edges) and image.novelty > 0:
-            targets = observation.associate_cloud(few, image.sighting, mcl.landmark_map).targets(inliers.mean)
+            *earlier, last = image.drive.moves
+            cloud = mcl.moved(cloud, earlier, rng)
+            step = mcl.motion.expected_step(cloud, last)
+            pose, cov = step.predicted(cloud.log_weight)
+            found = observation.associate(pose, image.sighting, mcl.landmark_map, cov)
             proposal = OptimalProposal(
                 observation.camera.at(image.sighting.edges.mount),
-                targets,
+                found.targets(inliers.mean),
                 image.novelty,
                 parameters.stage_below,
                 parameters.resample_below,
             )
-            *earlier, last = image.drive.moves
-            moved = proposal.moved(mcl.moved(cloud, earlier, rng), last, mcl.motion, rng)
+            moved = proposal.moved(cloud, step, last, mcl.motion, rng)
     if moved is None:
         moved = mcl.moved(cloud, image.drive.moves, rng)
     visible = None if mcl.search is None else state.belief.visibility.of_all(len(mcl.landmark_map))
@@ -410,7 +407,8 @@ def _located(
     cloud, estimate, clusters = belief.places(weighed)
     p_correct = belief.p_correct(cloud, estimate.pose, is_tracked=weighed is not None)
     if mcl.edges is not None:
-        association = mcl.edges.associate(estimate.pose_as_seen, image.sighting, mcl.landmark_map, weighed)
+        cov = None if weighed is None else estimate.cov_as_seen
+        association = mcl.edges.associate(estimate.pose_as_seen, image.sighting, mcl.landmark_map, cov)
     located = Located(
         t_ns=measured.t_ns,
         estimate=estimate,

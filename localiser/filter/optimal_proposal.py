@@ -46,12 +46,14 @@ class OptimalProposal:
     resample_below: float
 
     def moved(
-        self, cloud: Particles, increment: Increment, motion: MotionParameters, rng: np.random.Generator
+        self, cloud: Particles, step: Step, increment: Increment, motion: MotionParameters, rng: np.random.Generator
     ) -> Particles:
-        """Return the particles moved by `increment` to where the edges say, with weights that take that back."""
+        """Return the particles moved to where the edges say, with weights that take that back.
+
+        step: which they are expected to take by `increment`.
+        """
         count, left = len(cloud), 1.0
         for stage in range(MOST_STAGES + 1):
-            step = motion.expected_step(cloud, increment)
             density = step_density(step, self.camera, self.targets, self.novelty)
             ahead = flattened(density.log_evidence, cloud.log_weight)
             weight = particles.normalised(cloud.log_weight + left * ahead)
@@ -62,6 +64,7 @@ class OptimalProposal:
             cloud, left = particles.take(cloud, systematic_resample(weight, count, rng)), left - taken
             if left > 0:
                 cloud = particles.spread(cloud, rng)
+            step = motion.expected_step(cloud, increment)
         normal, log_ratio = density.draw(rng)
         moved = motion.stepped(cloud, step, normal, increment)
         return replace(moved, log_weight=cloud.log_weight + log_ratio - (1 - left) * ahead)

@@ -35,8 +35,9 @@ class Weighed:
     """Particles that an image has weighed, and what it says of their place.
 
     particles: after the image. inliers: what is then known of the inlier rate. log_fit: their mean log-likelihood.
-    before: some particles that the image had not weighed yet. by_rate, shown_by_rate: (K, N) log p(edges | particle, p_k) of these for every detection rate,
-    where all landmarks in view may show, and where some are hidden; None with an observation of one's own.
+    before: some particles that the image had not weighed yet. by_rate, shown_by_rate: (K, N) log p(edges | particle,
+    p_k) of these for every detection rate, where all landmarks in view may show, and where some are hidden; None with
+    an observation of one's own.
     """
 
     particles: Particles

@@ -79,9 +79,9 @@ class Wheels:
         """Return what is known after an image, and how the robot moved if the wheels are wrong.
 
         fit: (2,) log-likelihood of the image after the motion of the wheels: by the map, and by the image before.
-        images: returns the last one and this, by their longest edges. by_map: returns the logarithm of the mean likelihood of
-        the image over particles after a motion. increment, cov: what the wheels say, and its covariance (3, 3).
-        seconds: since the last image.
+        images: returns the last one and this, by their longest edges. by_map: returns the logarithm of the mean
+        likelihood of the image over particles after a motion. increment, cov: what the wheels say, and its covariance
+        (3, 3). seconds: since the last image.
         """
         fits = (fit >= UNUSUAL * self.usual).all()
         usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * fit

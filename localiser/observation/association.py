@@ -27,10 +27,9 @@ from localiser.observation.frame import (
 )
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.sighting import Matches, Sighting, Targets
-from localiser.particles import CAMERA_YAW, Particles, thinned
+from localiser.particles import CAMERA_YAW, Particles
 
 INPUTS = 8  # of loops that are kept: an image is asked for some ten times, with two blurs
-FEW_SPREAD = 64  # particles that tell how wide the cloud is
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
 BESIDE_M = 0.15  # landmarks stand at most so far from where the map has them
 _CELL, _ONE_RUN, _ONE_CELL = 1e-6, np.array([0, 1]), np.ones(3, dtype=np.int64)  # m or rad: one pose
@@ -82,11 +81,10 @@ class Association:
     """How edges (E) compare with the landmarks (K) that are seen from one pose: P pairs near each other.
 
     landmark: (K,) indices. angle: (K,) at which each is expected (rad), per_m: (K,) how fast that changes as it is
-    moved aside (rad/m), map_var, cloud_var: (K,) its variances by the map and over the poses of a cloud about the pose
-    that face the landmark (rad²). in_the_open: (K,) probability that no wall hides it. pair: (P,) index into these,
-    edge: (P,). residual: (P,) measured minus expected angle (rad). odds: (P,) that the edge is this landmark's, against
-    clutter that is spread evenly, at an inlier rate of ½. cloud_odds: (P,) the same where the angle is as uncertain
-    over the cloud, too.
+    moved aside (rad/m), map_var, pose_var: (K,) its variances by the map and by the pose's (rad²). in_the_open: (K,)
+    probability that no wall hides it. pair: (P,) index into these, edge: (P,). residual: (P,) measured minus expected
+    angle (rad). odds: (P,) that the edge is this landmark's, against clutter that is spread evenly, at an inlier rate
+    of ½. all_odds: (P,) the same where the angle is as uncertain as the pose, too.
     """
 
     frame: Frame
@@ -96,37 +94,26 @@ class Association:
     angle: Array
     per_m: Array
     map_var: Array
-    cloud_var: Array
+    pose_var: Array
     in_the_open: Array
     pair: Indices
     edge: Indices
     residual: Array
     odds: Array
-    cloud_odds: Array
+    all_odds: Array
 
     @classmethod
-    def of(
-        cls,
-        frame: Frame,
-        sighting: Sighting,
-        landmark_map: LandmarkMap,
-        pose: Array,
-        cloud: Particles | None = None,
-    ) -> Association:
-        """Return how the edges of a sighting compare with what is seen from one pose (4,), the mean of the cloud's."""
+    def of(cls, frame: Frame, sighting: Sighting, landmark_map: LandmarkMap, pose: Array, cov: Array) -> Association:
+        """Return how the edges of a sighting compare with what is seen from one pose (4,). cov: (3, 3) of it."""
         from localiser.observation import likelihood_kernel as kernel
 
-        poses, weight = np.array([pose, pose]), np.zeros(2)
-        if cloud is not None:
-            few = thinned(cloud, FEW_SPREAD)
-            poses, weight = np.concatenate([poses, poses_of(few)]), np.concatenate([weight, few.weight])
         by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map)
         offset, _, landmarks = inputs[:3]
         farthest_m, half_view_rad = frame.far.range_max_m, float(np.arctan(frame.sight[1][3]))
         reach, low, per_unit = reach_of(landmark_map, farthest_m), pose[:3] - 0.5 * _CELL, np.full(3, 1.0 / _CELL)
         in_view, view = entry(in_view_of_cells_loop), (half_view_rad, farthest_m, reach)
         _, near = in_view(_ONE_RUN, low, per_unit, _ONE_CELL, offset, landmarks, *view)
-        seen, pairs = kernel.associate(poses, np.arange(len(poses)), weight, near, inputs)
+        seen, pairs = kernel.associate(pose, cov, near, inputs)
         landmark, (pair, row) = seen[:, 0].astype(np.int64), pairs[:, :2].astype(np.int64).T
         rest = pair, by_angle[row], *pairs[:, 2:].T
         return cls(frame, sighting, landmark_map, landmark, *seen[:, 1:].T, *rest)
@@ -175,7 +162,7 @@ class Association:
     def _odds_at(self, inlier_rate: float) -> tuple[Array, Array]:
         """Return the weight of each pair (P,) beside 1 - inlier_rate for clutter, and the sum for each edge (E,)."""
         clutter = self.sighting.persistent
-        own = inlier_rate * self.cloud_odds / (1.0 if clutter is None else clutter[self.edge])
+        own = inlier_rate * self.all_odds / (1.0 if clutter is None else clutter[self.edge])
         return own, np.asarray(np.bincount(self.edge, own, len(self.frame.measured[0])), dtype=np.float64)
 
     def by_map_scale(self, scales: Array) -> Array:

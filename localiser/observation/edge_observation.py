@@ -185,36 +185,31 @@ class EdgeObservation:
         one = Particles(POSE, np.zeros((3, 1)), angle)
         landmark_map = LandmarkMap.from_points(np.array([[0.0, -3.0]]))
         self.by_rate(one, sighting, landmark_map)
-        self.associate_cloud(one, sighting, landmark_map)
+        self.associate(angle.repeat(3), sighting, landmark_map)
         frame = self.frame(sighting.edges)
         scene_clutter(frame, [EarlierFrame(frame, np.zeros(3), 0.0)])
 
     # -- association ------------------------------------------------------------------------------------------------
 
     def associate(
-        self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, cloud: Particles | None = None
+        self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, cov: Array | None = None
     ) -> Association:
-        """Return how the edges compare with the landmarks that are seen from one robot pose (3,).
-
-        cloud: whose mean pose it is.
-        """
-        return Association.of(self.frame(sighting.edges), sighting, landmark_map, np.append(pose, 0.0), cloud)
-
-    def associate_cloud(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Association:
-        """Return how the edges compare with the landmarks seen from the mean pose of particles, over all poses."""
-        return self.associate(particles.estimate.pose_as_seen, sighting, landmark_map, particles)
+        """Return how the edges compare with the landmarks that are seen from one robot pose (3,). cov: (3, 3) of it."""
+        cov = np.zeros((3, 3)) if cov is None else cov
+        return Association.of(self.frame(sighting.edges), sighting, landmark_map, np.append(pose, 0.0), cov)
 
     def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
         """Return two angles (rad), medians over landmarks and edges: the spread of predictions, the measured sigma.
 
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
-        found = self.associate_cloud(particles, sighting, landmark_map)
+        estimate = particles.estimate
+        found = self.associate(estimate.pose_as_seen, sighting, landmark_map, estimate.cov_as_seen)
         variance = found.frame.measured[1]
         if not len(found.landmark) or not np.isfinite(variance).any():
             return 0.0, np.inf
         sigma = np.sqrt(np.nanmedian(variance) + np.median(found.map_var))
-        return float(np.sqrt(np.median(found.cloud_var))), float(sigma)
+        return float(np.sqrt(np.median(found.pose_var))), float(sigma)
 
 
 @lru_cache(FRAMES)

@@ -406,39 +406,40 @@ def log_products(
 
 
 @entry
-def associate(poses: Array, order: Indices, weight: Array, item: NDArray[np.int32], inputs: Any) -> tuple[Array, Array]:
-    """Return the landmarks that the first two of the poses (N, 4), which are the same, see, and the edges near them.
+def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> tuple[Array, Array]:
+    """Return the landmarks that a pose (4,) sees, and the edges near them.
 
     Rows (K, 6) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
-    its variances by the map and over those of the other poses that face the landmark (rad²), probability that no wall
-    is before it. Rows (P, 5) of pairs: row of the landmark, row of the edge, residual (rad), odds from the pose and
-    over all poses (see `association.Association`).
+    its variances by the map and by the pose (rad²), probability that no wall is before it. Rows (P, 5) of pairs: row of
+    the landmark, row of the edge, residual (rad), odds from this pose and over all (see `association.Association`).
 
-    order: 0 … N - 1. weight: (N,) of the poses, the first two not counted. item: landmarks to look at. inputs: as for
-    `log_products`.
+    cov: (3, 3) of the pose, by which the angle a, as it changes by per_m, varies by g cov gᵀ. d is from the camera to
+    the landmark, o from the robot to the camera:
+
+        g = per_m |d| (d_z, -d_x, |d|² + d·o) / |d|²
+
+    item: landmarks to look at. inputs: as for `log_products`.
     """
     offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = inputs
-    block = np.ones((_SEEN + VIEWS, len(poses)))
+    block, poses = np.ones((_SEEN + VIEWS, 2)), np.empty((2, 4))
+    poses[:] = pose
     seen, pairs = np.empty((len(item), 6)), np.empty((len(item) * len(edges), 5))
     shown, used, in_view, per_density = 0, 0, 0.0, span / np.sqrt(2 * np.pi)
-    _place(poses, order, 0, len(poses), len(poses), offset, block)
+    _place(poses, np.arange(2), 0, 2, 2, offset, block)
     for k in item:
         one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
         landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, 1.0)
         hidden, leaning = (one[2] <= -UNKNOWN_M, one[3] >= UNKNOWN_M), one[5]
-        block[_OPEN, 0] = 1.0
-        for lanes in (1, len(poses)):  # what the first does not see, the others need not look at
-            if block[_OPEN, 0] > 0:
-                _look(block, lanes, landmark, limits, camera, gate, bins, is_slope)
-        if block[_OPEN, 0] == 0:
-            continue
+        _look(block, 2, landmark, limits, camera, gate, bins, is_slope)
         angle, per_m_sq, is_open = block[_ANGLE, 0], block[_VARIANCE, 0], block[_OPEN, 0]
-        total, mean, square = 1e-300, 0.0, 0.0
-        for m in range(2, len(poses)):
-            apart = block[_ANGLE, m] - angle
-            if apart < np.inf:
-                total, mean, square = total + weight[m], mean + weight[m] * apart, square + weight[m] * apart * apart
-        by_map, by_pose = sigma_m * sigma_m * per_m_sq, max(square / total - (mean / total) ** 2, 0.0)
+        if is_open == 0:
+            continue
+        dx, dz = one[0] - block[_X, 0], one[1] - block[_Z, 0]
+        square = dx * dx + dz * dz
+        turned = square + dx * (block[_X, 0] - pose[0]) + dz * (block[_Z, 0] - pose[1])
+        by_pose = dz * dz * cov[0, 0] + dx * dx * cov[1, 1] + turned * turned * cov[2, 2]
+        by_pose += 2.0 * (dz * turned * cov[0, 2] - dx * turned * cov[1, 2] - dx * dz * cov[0, 1])
+        by_map, by_pose = sigma_m * sigma_m * per_m_sq, max(by_pose, 0.0) * per_m_sq / square
         block[_VARIANCE, 0], block[_VARIANCE, 1] = by_map, by_map + by_pose
         for e in range(len(edges)):
             edge = edges[e]

@@ -96,7 +96,8 @@ def test_weights_take_back_where_steps_were_drawn():
 
 def test_nothing_told_moves_particles_blindly():
     nothing = Targets(np.zeros((0, 2)), np.zeros(0), np.zeros(0), False)
-    moved = OptimalProposal(CAMERA, nothing, 1.0, 0.3, 0.5).moved(cloud(), MOVE, MOTION, np.random.default_rng(0))
+    step = MOTION.expected_step(cloud(), MOVE)
+    moved = OptimalProposal(CAMERA, nothing, 1.0, 0.3, 0.5).moved(cloud(), step, MOVE, MOTION, np.random.default_rng(0))
     assert np.ptp(moved.log_weight) < 1e-12
     blind = MOTION.predict(cloud(), MOVE, np.random.default_rng(0))
     assert moved.columns.tobytes() == blind.columns.tobytes()
@@ -111,9 +112,10 @@ def test_posterior_is_that_of_blind_moves_with_far_more_of_the_particles(kind):
     for guided, count in ((True, 4000), (False, 400_000)):
         before = cloud(count, seed=6)
         if guided:
-            few = MOTION.predict(take(before, np.arange(500)), MOVE, rng)
-            targets = one.associate_cloud(few, Sighting(0, edges), MAP).targets(0.9)
-            moved = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.5).moved(before, MOVE, MOTION, rng)
+            step = MOTION.expected_step(before, MOVE)
+            pose, cov = step.predicted(before.log_weight)
+            targets = one.associate(pose, Sighting(0, edges), MAP, cov).targets(0.9)
+            moved = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.5).moved(before, step, MOVE, MOTION, rng)
         else:
             moved = MOTION.predict(before, MOVE, rng)
         weighed = replace(moved, log_weight=moved.log_weight + one.log_likelihood(moved, Sighting(0, edges), MAP))
@@ -132,16 +134,16 @@ def test_only_edges_of_landmarks_in_no_doubt_are_targets():
     truth = np.array([0.02, -0.2, 0.05])
     edges, one = edges_at(truth), observation(known=False)
     order = np.argsort(edges.landmark_id)
-    near = one.associate_cloud(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), MAP).targets(0.8)
+    near = one.associate(np.zeros(3), Sighting(0, edges_at(np.zeros(3))), MAP, 1e-4 * np.eye(3)).targets(0.8)
     assert near.points == pytest.approx(POINTS[edges.landmark_id[order]])
     # Neither where which is which cannot be told, nor where nearly all edges are clutter.
     for sigma, rate in ((0.3, 0.8), (0.01, 0.02)):
-        none = one.associate_cloud(cloud(500, sigma=sigma), Sighting(0, edges), MAP).targets(rate)
+        none = one.associate(np.zeros(3), Sighting(0, edges), MAP, sigma**2 * np.eye(3)).targets(rate)
         assert len(none.angle) == 0
     # Two landmarks side by side: neither may claim the edge.
     points = np.vstack([POINTS, POINTS[1] + [0.03, 0.0]])
     twins = LandmarkMap.from_points(points, bottom_m=np.zeros(4), top_m=np.full(4, 2.0))
-    kept = one.associate_cloud(cloud(500, sigma=0.01), Sighting(0, edges_at(np.zeros(3))), twins).targets(0.8).points
+    kept = one.associate(np.zeros(3), Sighting(0, edges_at(np.zeros(3))), twins, 1e-4 * np.eye(3)).targets(0.8).points
     assert sorted(kept[:, 0]) == pytest.approx([-1.2, 1.5])
 
 
@@ -150,8 +152,9 @@ def test_weights_take_back_stages_that_were_cut_short(monkeypatch):
     monkeypatch.setattr(optimal_proposal, "MOST_STAGES", 1)
     angle = expected_angles(MOTION.expected_step(cloud(1, sigma=0.0), MOVE).poses, "line")[0] + 0.03
     targets = Targets(POINTS, angle, np.full(3, 0.08**2), False)
+    before = cloud(50_000, sigma=0.05)
     guided = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.99).moved(
-        cloud(50_000, sigma=0.05), MOVE, MOTION, np.random.default_rng(0)
+        before, MOTION.expected_step(before, MOVE), MOVE, MOTION, np.random.default_rng(0)
     )
     found = guided.estimate
     blind = MOTION.predict(cloud(50_000, sigma=0.05), MOVE, np.random.default_rng(1)).estimate

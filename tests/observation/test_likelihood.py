@@ -14,7 +14,7 @@ from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, SightParameters, in_camera, sight
 from localiser.observation import DETECTION_RATES, INLIER_RATES, EdgeObservation, ObservationParameters, Sighting, View
 from localiser.observation.frame import bins_of
-from localiser.particles import CAMERA_YAW, POSE, Particles
+from localiser.particles import POSE, Particles
 
 FOCAL = 554.0
 # Pairs beyond six sigmas add less than 1e-8 of a peak each; log-weights may differ by that over many edges.
@@ -93,17 +93,20 @@ def test_pairs_of_one_pose_agree(seed: int, tilt_deg: float, kind: str, ends: bo
     parameters = ObservationParameters(kind=kind, sight=SightParameters(range_max_m=3.0, range_far_m=5.0))  # type: ignore[arg-type]
     observation, landmark_map = EdgeObservation(camera(tilt_deg, 2.0), parameters), some_map(rng, landmarks)
     sighting = Sighting(0, some_edges(rng, 12, ends), map_scale=2.0)
-    poses = rng.normal(0.0, [0.3, 0.3, 0.1], (70, 3))
-    wide = Particles((*POSE, CAMERA_YAW), np.vstack([poses.T, rng.normal(0, 0.02, 70)]), rng.normal(0, 1, 70))
-    right, ahead = in_camera(camera_poses(observation.camera, wide), landmark_map.points)
-    angle, _ = observation.frame(sighting.edges).predicted(right / ahead)
-    weight = wide.weight[:, None] * (ahead > 0) / np.maximum(wide.weight @ (ahead > 0), 1e-300)
-    spread = (weight * (angle - (weight * angle).sum(axis=0)) ** 2).sum(axis=0)
-    found = observation.associate(np.zeros(3), sighting, landmark_map, wide)
-    assert found.cloud_var == pytest.approx(spread[found.landmark], rel=1e-5, abs=1e-12)
+    root = rng.normal(0.0, 0.1, (3, 3))
+
+    def expected(pose: np.ndarray) -> np.ndarray:
+        right, ahead = in_camera(observation.camera.pose_in_map(pose[None]), landmark_map.points)
+        return observation.frame(sighting.edges).predicted(right / ahead)[0][0]
+
+    step = 1e-5 * np.eye(3)
+    slope = np.array([expected(one) - expected(-one) for one in step]) / 2e-5
+    spread = np.square(root.T @ slope).sum(axis=0)
+    found = observation.associate(np.zeros(3), sighting, landmark_map, root @ root.T)
+    assert found.pose_var == pytest.approx(spread[found.landmark], rel=1e-5)
     rows = list(zip(found.edge.tolist(), found.landmark[found.pair].tolist(), strict=True))
     assert len(set(rows)) == len(rows)
-    for odds, more_var in ((found.odds, np.zeros(landmarks)), (found.cloud_odds, spread)):
+    for odds, more_var in ((found.odds, np.zeros(landmarks)), (found.all_odds, spread)):
         pairs, is_open = plain_pairs(observation, observation.camera.robot_from_level, sighting, landmark_map, more_var)
         per_density = observation.frame(sighting.edges).span_rad / max(sum(is_open.values()), 1.0)
         assert found.landmark.tolist() == sorted(is_open)
