@@ -281,6 +281,9 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
     motion, seen, increment = mcl.motion, state.seen, drive.increment
     novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.weighed else 1.0
     jump, scene, attitude = Jump(novelty), state.scene, state.attitude
+    if mcl.level is not None:
+        edges, attitude = mcl.level.levelled(attitude, sighting.edges, increment.path_m, novelty)
+        sighting = replace(sighting, edges=edges)
     if mcl.edges is not None:
         scene, density, jump = scene.followed(mcl.edges, motion, sighting, increment)
         sighting = replace(sighting, scene=density)
@@ -288,9 +291,6 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
             now, turn_var = mcl.edges.frame(sighting.edges), float(covariance_of(motion, increment)[2, 2])
             before = EarlierFrame.of(mcl.edges.frame(seen.edges), now, increment, turn_var)
             sighting = replace(sighting, persistent=persistent_clutter(now, before, seen.clutter))
-    if mcl.level is not None:
-        edges, attitude = mcl.level.levelled(attitude, sighting.edges, increment.path_m, novelty)
-        sighting = replace(sighting, edges=edges)
     return _Image(drive, sighting, novelty, jump, scene, attitude)
 
 
