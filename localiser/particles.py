@@ -92,17 +92,10 @@ class Estimate:
         return self.mean[:3]
 
     @property
-    def pose_as_seen(self) -> Array:
-        """Mean pose (3,), its heading turned by the camera's own yaw: from where a camera without it sees the same."""
-        yaw = self.mean[self.names.index(CAMERA_YAW)] if CAMERA_YAW in self.names else 0.0
-        return np.asarray(self.mean[:3] + np.array([0.0, 0.0, yaw]))
-
-    @property
-    def cov_as_seen(self) -> Array:
-        """Covariance (3, 3) of this."""
-        turned = np.eye(3, len(self.names))
-        turned[2] += np.array([name == CAMERA_YAW for name in self.names])
-        return np.asarray(turned @ self.cov @ turned.T)
+    def as_seen(self) -> Estimate:
+        """The pose of the robot from where a camera without a yaw of its own sees the same."""
+        turned = np.eye(3, len(self.names)) + np.outer([0.0, 0.0, 1.0], np.array(self.names) == CAMERA_YAW)
+        return Estimate(POSE, turned @ self.mean, turned @ self.cov @ turned.T)
 
     @property
     def pose_cov(self) -> Array:

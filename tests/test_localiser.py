@@ -154,7 +154,7 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     as_weighed, as_measured = last.located.sighting.edges, last.located.edges
     assert np.abs(as_weighed.bearing - as_measured.bearing).max() > 1e-4
     assert isinstance(one.observation, EdgeObservation)
-    pose = last.located.estimate.pose_as_seen
+    pose = last.located.estimate.as_seen.pose
     expected = one.observation.associate(pose, last.located.sighting, LOG.landmark_map).matches()
     np.testing.assert_array_equal(last.matches.landmark, expected.landmark)
     np.testing.assert_array_equal(last.matches.residual, expected.residual)

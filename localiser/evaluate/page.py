@@ -134,7 +134,7 @@ def image_svg(frame: LocatedFrame, camera: Camera, landmark_map: LandmarkMap) ->
         parts.append(f'<image width="{camera.width}" height="{camera.height}" href="{uri}"/>')
     ends = landmark_ends(landmark_map, camera)
     _, lines = predicted_lines(
-        camera.at(frame.located.edges.mount), frame.located.estimate.pose_as_seen, ends, matches.visible
+        camera.at(frame.located.edges.mount), frame.located.estimate.as_seen.pose, ends, matches.visible
     )
     parts += [_line(line, "expected") for line in lines]
     known = np.isfinite(edges.ends_px).all(axis=(1, 2))

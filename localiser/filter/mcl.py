@@ -214,7 +214,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     # Learn: which edges are clutter, which landmarks are seen, how far do edges, the camera's height and the map err?
     clutter = _clutter(state, weighed, located, association)
     if weighed is not None and mcl.search is not None:
-        pose, points = located.estimate.pose_as_seen, mcl.landmark_map.points
+        pose, points = located.estimate.as_seen.pose, mcl.landmark_map.points
         state.belief = state.belief.seen(located.matches, points, pose, image.jump.novelty)
     state.height = _height(mcl, state, located, association, image)
     state.map_error = _map_error(mcl, state, located, association, image.novelty)
@@ -304,8 +304,8 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
             *earlier, last = image.drive.moves
             cloud = mcl.moved(cloud, earlier, rng)
             step = mcl.motion.expected_step(cloud, last)
-            pose, cov = step.predicted(cloud.log_weight)
-            found = observation.associate(pose, image.sighting, mcl.landmark_map, cov)
+            ahead, axes = Particles(POSE, step.poses, cloud.log_weight).estimate, step.axes.mean(axis=2)
+            found = observation.associate(ahead.pose, image.sighting, mcl.landmark_map, ahead.cov + axes @ axes.T)
             proposal = OptimalProposal(
                 observation.camera.at(image.sighting.edges.mount),
                 found.targets(inliers.mean),
@@ -407,8 +407,8 @@ def _located(
     cloud, estimate, clusters = belief.places(weighed)
     p_correct = belief.p_correct(cloud, estimate.pose, is_tracked=weighed is not None)
     if mcl.edges is not None:
-        cov = None if weighed is None else estimate.cov_as_seen
-        association = mcl.edges.associate(estimate.pose_as_seen, image.sighting, mcl.landmark_map, cov)
+        cov = None if weighed is None else estimate.as_seen.cov
+        association = mcl.edges.associate(estimate.as_seen.pose, image.sighting, mcl.landmark_map, cov)
     located = Located(
         t_ns=measured.t_ns,
         estimate=estimate,
@@ -496,7 +496,7 @@ def _height(mcl: Mcl, state: FilterState, located: Located, association: Associa
     if height.novelty < LEAST_NOVELTY or height.is_unknown or is_measured(mcl.level.camera, located.edges):
         return height
     stated = mcl.level.camera.at(located.edges.mount)
-    return height.after(*association.end_offsets(located.matches, located.estimate.pose_as_seen, stated), stated)
+    return height.after(*association.end_offsets(located.matches, located.estimate.as_seen.pose, stated), stated)
 
 
 def _map_error(

@@ -27,7 +27,7 @@ from pydantic import Field
 
 from localiser.geometry import Array, Increment, cos_sin, wrap_angle, wrap_half_turn
 from localiser.geometry.compiled import compiled
-from localiser.particles import CAMERA_YAW, POSE, Particles, centred
+from localiser.particles import CAMERA_YAW, Particles, centred
 
 CONSTANT_ERRORS = ("distance_scale", "turn_scale", "veer", "delay", CAMERA_YAW)
 SLIP = 0.1  # sigma of slipping sideways, as a share of that along the way: no wheel is quite true
@@ -177,11 +177,6 @@ class Step:
     def axes(self) -> Array:
         """Derivatives (3, 3, N) of the poses by the standardised step, which is three standard normal draws."""
         return _in_map(self.root[..., None], self.cos, self.sin)
-
-    def predicted(self, log_weight: Array) -> tuple[Array, Array]:
-        """Return mean (3,) and covariance (3, 3) of the poses after the step; log_weight: (N,) of the particles."""
-        found, axes = Particles(POSE, self.poses, log_weight).estimate, self.axes.mean(axis=2)
-        return found.pose, found.cov + axes @ axes.T
 
 
 def covariance_of(model: MotionModel, increment: Increment) -> Array:

@@ -74,7 +74,7 @@ def annotated(
         return None
     grey = image.ndim == 2
     pixels = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if grey else image.copy(), dtype=np.uint8)
-    pose = frame.located.estimate.pose_as_seen
+    pose = frame.located.estimate.as_seen.pose
     _, expected = predicted_lines(camera, pose, ends, frame.matches.visible)
     edges, matched = frame.located.edges, frame.matches.landmark >= 0
     known = np.isfinite(edges.ends_px).all(axis=(1, 2))

@@ -113,8 +113,8 @@ def test_posterior_is_that_of_blind_moves_with_far_more_of_the_particles(kind):
         before = cloud(count, seed=6)
         if guided:
             step = MOTION.expected_step(before, MOVE)
-            pose, cov = step.predicted(before.log_weight)
-            targets = one.associate(pose, Sighting(0, edges), MAP, cov).targets(0.9)
+            ahead = MOTION.predict(take(before, np.arange(500)), MOVE, rng).estimate
+            targets = one.associate(ahead.pose, Sighting(0, edges), MAP, ahead.cov).targets(0.9)
             moved = OptimalProposal(CAMERA, targets, 1.0, 0.3, 0.5).moved(before, step, MOVE, MOTION, rng)
         else:
             moved = MOTION.predict(before, MOVE, rng)

@@ -195,8 +195,8 @@ def test_an_estimate_says_from_where_its_camera_sees() -> None:
     found = particles.Estimate(
         (*POSE, *CONSTANT_ERRORS), np.array([1.0, 2.0, 0.3, 0.01, 0.02, 0.03, 0.04, 0.05]), np.eye(8)
     )
-    np.testing.assert_allclose(found.pose_as_seen, [1.0, 2.0, 0.35])
-    np.testing.assert_allclose(particles.Estimate(POSE, found.mean[:3], np.eye(3)).pose_as_seen, [1.0, 2.0, 0.3])
+    np.testing.assert_allclose(found.as_seen.pose, [1.0, 2.0, 0.35])
+    np.testing.assert_allclose(particles.Estimate(POSE, found.mean[:3], np.eye(3)).as_seen.pose, [1.0, 2.0, 0.3])
 
 
 KNOWN = ["observation.association=known", "motion.bias.delay_sigma_s=0.2"]
