@@ -325,7 +325,7 @@ class Localiser:
             raise InputError(f"expected the bytes of a saved state, found {type(content).__name__}", path=path)
         saved = checkpoint_of(content, Path(path), self.identity)
         belief, count = saved.state.belief, len(self.landmark_map)
-        last = max([*belief.visibility.landmark, *belief.near.landmark], default=-1)
+        last = max(belief.landmarks.landmark, default=-1)
         if last >= count:
             raise InputError(f"expected {count} landmarks, found one with the index {last}", path=path)
         self.state, self.rng = saved.state, saved.rng

@@ -28,7 +28,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.live import LiveOptions, open_run
 from localiser.localiser import Localiser
 from localiser.motion import MotionModel
-from localiser.observation import EdgeObservation, NearLandmarks, Observation, Visibility
+from localiser.observation import EdgeObservation, Observation, PlaceLandmarks
 from localiser.particles import Particles
 from localiser.replay import replay_log
 from localiser.storage import Event, ImageEvent, Log, open_log, read_track, write_camera
@@ -209,12 +209,11 @@ def test_a_state_of_another_map_camera_or_setting_is_refused() -> None:
             other.restore(content)
     with pytest.raises(InputError, match=r"here: expected a whole checkpoint"):
         of_corridor().restore(content[:-1], "here")
-    index, one = np.array([len(LOG.landmark_map)]), np.ones(1)
-    for beyond in ({"visibility": Visibility(index, 0.9 * one)}, {"near": NearLandmarks(index, one, one)}):
-        made = of_corridor()
-        made.state.belief = replace(made.state.belief, **beyond)
-        with pytest.raises(InputError, match=rf"here: expected {len(LOG.landmark_map)} landmarks"):
-            of_corridor().restore(made.save(), "here")
+    made, scenes = of_corridor(), np.ones((1, 2))
+    beyond = PlaceLandmarks(np.array([len(LOG.landmark_map)]), scenes, scenes)
+    made.state.belief = replace(made.state.belief, landmarks=beyond)
+    with pytest.raises(InputError, match=rf"here: expected {len(LOG.landmark_map)} landmarks"):
+        of_corridor().restore(made.save(), "here")
 
 
 def test_a_state_can_be_moved_to_another_clock() -> None:

@@ -32,7 +32,7 @@ from localiser.filter.scene import Jump
 from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
-from localiser.observation import FEWEST_EDGES, DetectionRate, Matches, NearLandmarks, Sighting, Visibility
+from localiser.observation import FEWEST_EDGES, DetectionRate, Matches, PlaceLandmarks, Sighting
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
 from localiser.relocalisation import PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
@@ -82,12 +82,11 @@ class Belief:
 
     candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: progress
     towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were last
-    proposed, or since there was last no need to. visibility: which landmarks show at the tracked place; shown: the
-    detection rate of those. support: log-likelihood of the tracked place, given these, along the last metre from which
-    landmarks were in view.
-    is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
+    proposed, or since there was last no need to. shown: the detection rate of the landmarks that show at the tracked
+    place. support: log-likelihood of the tracked place, given these, along the last metre from which landmarks were in
+    view. is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
     overlooked: probability that no image has looked at the true place since a place was last known. history: what
-    recent images say of places that are proposed next. near: whether landmarks near the tracked place are there.
+    recent images say of places that are proposed next. landmarks: what images showed of those of the tracked place.
     """
 
     tracked: float
@@ -100,12 +99,11 @@ class Belief:
     unproposed: float = 1.0
     unmapped: float = 0.0
     support: float = 0.0
-    visibility: Visibility = field(default_factory=Visibility)
     shown: DetectionRate = field(default_factory=DetectionRate.unknown)
     is_known: bool = True
     overlooked: float = 1.0
     history: History = field(default_factory=History)
-    near: NearLandmarks = field(default_factory=NearLandmarks)
+    landmarks: PlaceLandmarks = field(default_factory=PlaceLandmarks)
 
     @classmethod
     def stated(cls) -> Belief:
@@ -147,8 +145,9 @@ class Belief:
         is_tracked, carried = found is not None, jump.carried(search.parameters.carried)
         edges = search.known_edges(sighting)
         novelty = max(jump.novelty, carried)
-        near = self.near if self.is_known else replace(self.near, maps=len(search.landmark_map.maps))
-        begun = replace(self, history=self.history.moved(move.increment, novelty), near=near)
+        maps = self.landmarks.maps if self.is_known else len(search.landmark_map.maps)
+        landmarks = replace(self.landmarks, maps=maps)
+        begun = replace(self, history=self.history.moved(move.increment, novelty), landmarks=landmarks)
         belief = begun._judged(search, found, sighting, edges >= FEWEST_EDGES, jump, move)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         told = novelty / scenes if edges >= FEWEST_EDGES else 0.0  # a few edges may be anything, whatever the map
@@ -295,8 +294,7 @@ class Belief:
 
         matches: of its edges. points: (L, 2) of all landmarks. pose: (3,) of the robot. novelty: of the scene, 0 … 1.
         """
-        near = self.near.after(matches, points, pose, novelty)
-        return replace(self, visibility=self.visibility.after(matches, novelty), near=near)
+        return replace(self, landmarks=self.landmarks.after(matches, points, pose, novelty))
 
     def _normalised(self) -> Belief:
         total = self.here + self.elsewhere + self.unexplored + self.off_map
@@ -339,7 +337,7 @@ class Belief:
             is_known=False,
             overlooked=self.overlooked,
             history=self.history.entering(self.here),
-            near=self.near.elsewhere(maps),
+            landmarks=self.landmarks.elsewhere(maps),
         )
 
     def released(self, cloud: Particles, maps: int = 1) -> Belief:
@@ -351,10 +349,9 @@ class Belief:
             tracked=0.0,
             unmapped=0.0,
             detections=unknown,
-            visibility=Visibility(),
             shown=unknown,
             is_known=False,
-            near=self.near.elsewhere(maps),
+            landmarks=self.landmarks.elsewhere(maps),
         )
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
@@ -376,7 +373,7 @@ class Belief:
     def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
         """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""
         here = self.here if is_tracked else self.elsewhere
-        probability = here * (self.near.probability if is_tracked or self.near.maps > 1 else 1.0)
+        probability = here * (self.landmarks.probability if is_tracked or self.landmarks.maps > 1 else 1.0)
         return self._looked_at * probability * near_weight(cloud, pose)
 
     @property
@@ -396,12 +393,12 @@ class Belief:
     @property
     def _contradicted(self) -> float:
         """The probability that this is no map of what is seen."""
-        return self.off_map + (self.near.log_odds < 0) * (1.0 - self.near.probability) * self.here
+        return self.off_map + (self.landmarks.log_odds < 0) * (1.0 - self.landmarks.probability) * self.here
 
     @property
     def warning(self) -> MapWarning:
         """What a user should look at, "" where all is well."""
-        does_not_fit = self.unfit >= 1.0 or (self.near.are_missing and self._contradicted > NO_MAP)
+        does_not_fit = self.unfit >= 1.0 or (self.landmarks.are_missing and self._contradicted > NO_MAP)
         return "this map does not fit" if does_not_fit else ""
 
 

@@ -316,7 +316,7 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
             moved = proposal.moved(cloud, step, last, mcl.motion, rng)
     if moved is None:
         moved = mcl.moved(cloud, image.drive.moves, rng)
-    visible = None if mcl.search is None else state.belief.visibility.of_all(len(mcl.landmark_map))
+    visible = None if mcl.search is None else state.belief.landmarks.shown(len(mcl.landmark_map))
     tempering = Tempering(
         observation, mcl.landmark_map, image.sighting, inliers, image.novelty, parameters.stage_below, visible
     )

@@ -19,7 +19,7 @@ from localiser.observation.inlier_rate import (
     InlierRate,
     log_sum_of_rates,
 )
-from localiser.observation.place_landmarks import FEWEST_EDGES, NearLandmarks, Visibility
+from localiser.observation.place_landmarks import FEWEST_EDGES, PlaceLandmarks
 from localiser.observation.sighting import (
     Matches,
     Observation,

@@ -1,25 +1,22 @@
 """The landmarks of the tracked place: which are hidden, and whether those beside the robot are there.
 
-Visibility: the map has no walls, so it cannot tell which landmarks are hidden. But one that is hidden in an image is
-hidden in the next one too. Every landmark is visible or hidden, and each image is evidence of it: a visible one is
-matched by an edge in 0.85 of the images, a hidden one by chance in 0.1. Within a scene, a landmark changes with a
-probability of 0.1.
+The map has no walls, so it cannot tell which landmarks are hidden. But an edge matches a landmark in a part r of the
+scenes that have it in view, near 0 for one that is hidden and near 1 for one that shows, and every scene tells of r. Of
+landmarks near the robot, r was measured on worn maps of the building and on maps of another one. In both it is
+distributed as Beta(a, b), so after m scenes with and k without a match r is expected to be (a + m) / (a + b + m + k).
 
-Near landmarks: whether those that should be seen beside the robot are there.
+Are the landmarks beside the robot there? One is expected in an image that has it in view within 3.5 m of the robot,
+unless a matched landmark within 30° of it is nearer by 0.15 m: that one may be on a wall. Each counts once, however
+many images show it:
 
-The likelihood compares edges with the clutter that earlier images predict. In a building of the same kind, as on
-another floor, edges that match by chance keep matching, and the likelihood takes each image for new evidence. So this
-test asks a question that it does not: of the landmarks near the tracked place, how many does any edge match?
+    odds = Π_l p(m, k | a map of the building) / p(m, k | another one),    p(m, k | a, b) = B(a + m, b + k) / B(a, b)
 
-A landmark is tested in an image that has it in view within 3.5 m of the robot, unless a matched landmark within 30° of
-it is nearer by 0.15 m: that one may be on a wall. It counts once, however many images show it:
+The likelihood does not tell this. It compares edges with the clutter that earlier images predict, and takes each image
+for new evidence, though in a building of the same kind, as on another floor, edges that match by chance keep matching.
 
-    log odds = Σ_l w_l (f_l log(p / q) + (1 - f_l) log((1 - p) / (1 - q))),   w_l = 1 - exp(-scenes)
-
-f_l is the part of its scenes in which it was matched, p and q are how often that is so on a map of the building and on
-another one. Scenes fade by a factor of e within 60, so a landmark that was seen for ten is half forgotten after some 50
-m. On a map of the building a place that is tracked is hardly ever wrong, so odds against one still count when another
-one is tracked in its stead, and fade as scenes do.
+What was seen of a landmark fades by a factor of e within 8 scenes, as elsewhere another one may hide it; what was seen
+beside the robot, which tells of the map, within 60. On a map of the building a place that is tracked is hardly ever
+wrong, so odds against one still count when another one is tracked in its stead, and fade as scenes do.
 
 Of a building of which n floors are mapped there may be one more, whose walls are those of the others. A place that was
 found on one of n maps has odds of n to it, until landmarks beside the robot tell.
@@ -35,73 +32,44 @@ from numpy.typing import NDArray
 from localiser.geometry import Array, wrap_angle
 from localiser.observation.sighting import Matches
 
-USUAL = 0.5  # how often a landmark in view is visible, where no image has told of it
-VISIBILITY_CHANGES = 0.1  # within a scene, from visible to hidden, and back
-FOUND, FOUND_HIDDEN = 0.85, 0.1  # how often an image has an edge that is matched to a visible and to a hidden landmark
-_SEEN, _MISSED = float(np.log(FOUND / FOUND_HIDDEN)), float(np.log((1 - FOUND) / (1 - FOUND_HIDDEN)))
-_TELLS = 0.02  # by how much a probability differs from the usual one where it is kept
-
 NEAR_M = 3.5
 BEFORE_M, BESIDE_RAD = 0.15, np.radians(30.0)  # a landmark that is nearer than another and beside it
 FEWEST_EDGES = 5  # of an image that tells: fewer may all be of anything
-MATCHED, BY_CHANCE = 0.45, 0.25  # how often a near landmark is, on a map of the building and on another one
-NEAR_MEMORY_SCENES = 60.0
+MATCHED, BY_CHANCE = (0.57, 0.78), (0.41, 1.37)  # a, b: on a map of the building, and on another one
+SEEN_SCENES, NEAR_SCENES = 8.0, 60.0  # within which scenes fade by a factor of e
 ANOTHER = 0.01  # odds that a map which is believed is of another building
 UNLIKELY = 0.3  # below this probability the map is said not to fit
 _FORGOTTEN = 1e-4  # scenes that are not kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Visibility:
-    """What images told of M landmarks. landmark: (M,) indices, ascending. probability: (M,) of being visible."""
+class PlaceLandmarks:
+    """What images showed of M landmarks.
 
-    landmark: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    probability: Array = field(default_factory=lambda: np.zeros(0))
-
-    def of_all(self, landmarks: int) -> Array:
-        """Return the probability (L,) with which each landmark of the map is visible."""
-        result = np.full(landmarks, USUAL)
-        result[self.landmark] = self.probability
-        return result
-
-    def after(self, matches: Matches, novelty: float) -> Visibility:
-        """Return what is known after an image.
-
-        matches: of its edges, as seen from the tracked place. novelty: of the scene, 0 … 1; an image that shows hardly
-        anything new is hardly any evidence.
-        """
-        before = self.of_all(len(matches.visible))
-        before += (1.0 - np.exp(-2.0 * VISIBILITY_CHANGES * novelty)) * (USUAL - before)
-        is_matched = np.zeros(len(before), dtype=bool)
-        is_matched[matches.landmark[matches.landmark >= 0]] = True
-        log_ratio = np.where(matches.visible, np.where(is_matched, _SEEN, _MISSED), 0.0)
-        odds = before / (1.0 - before) * np.exp(novelty * log_ratio)
-        after = odds / (1.0 + odds)
-        landmark = np.flatnonzero(np.abs(after - USUAL) > _TELLS)
-        return Visibility(landmark, after[landmark])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NearLandmarks:
-    """What images showed of M near landmarks.
-
-    landmark: (M,) indices, ascending. scenes: (M,) in which it was tested. matched: (M,) in which an edge matched it.
-    before: log-odds that places which were tracked before left, at most 0. maps: among which the place was found; 1
-    where it was stated.
+    landmark: (M,) indices, ascending. seen: (M, 2) scenes that had it in view, in which an edge matched it and in which
+    none did. near: (M, 2) those of them in which it was expected. before: log-odds that places which were tracked
+    before left, at most 0. maps: among which the place was found; 1 where it was stated.
     """
 
     landmark: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    scenes: Array = field(default_factory=lambda: np.zeros(0))
-    matched: Array = field(default_factory=lambda: np.zeros(0))
+    seen: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    near: Array = field(default_factory=lambda: np.zeros((0, 2)))
     before: float = 0.0
     maps: int = 1
 
+    def shown(self, landmarks: int) -> Array:
+        """Return the part (L,) of the images that have a landmark in view in which an edge should match it."""
+        scenes = np.tile(MATCHED, (landmarks, 1))
+        scenes[self.landmark] += self.seen
+        return np.asarray(scenes[:, 0] / scenes.sum(axis=1))
+
     @property
     def log_odds(self) -> float:
-        """The log-odds of a map of this building to another one, by these landmarks alone."""
-        part, weight = self.matched / self.scenes, 1.0 - np.exp(-self.scenes)
-        each = part * np.log(MATCHED / BY_CHANCE) + (1.0 - part) * np.log((1.0 - MATCHED) / (1.0 - BY_CHANCE))
-        return self.before + float(weight @ each)
+        """The log-odds of a map of this building to another one, by the landmarks beside the robot alone."""
+        from scipy.special import betaln
+
+        here, another = (betaln(*(self.near + prior).T) - betaln(*prior) for prior in (MATCHED, BY_CHANCE))
+        return self.before + float((here - another).sum())
 
     @property
     def probability(self) -> float:
@@ -118,25 +86,27 @@ class NearLandmarks:
         """Whether so few are there that this is no map of what is seen from the tracked place."""
         return self.probability < UNLIKELY
 
-    def elsewhere(self, maps: int) -> NearLandmarks:
+    def elsewhere(self, maps: int) -> PlaceLandmarks:
         """Return what is known when another place is tracked, which was found among so many maps."""
-        return NearLandmarks(before=min(self.log_odds, 0.0), maps=maps)
+        return PlaceLandmarks(before=min(self.log_odds, 0.0), maps=maps)
 
-    def after(self, matches: Matches, points: Array, pose: Array, novelty: float) -> NearLandmarks:
+    def after(self, matches: Matches, points: Array, pose: Array, novelty: float) -> PlaceLandmarks:
         """Return what is known after an image.
 
         matches: of its edges, seen from the tracked `pose` (3,). points: (L, 2) of all landmarks. novelty: of the
         scene, 0 … 1.
         """
-        scenes, matched = np.zeros(len(points)), np.zeros(len(points))
-        kept = np.exp(-novelty / NEAR_MEMORY_SCENES)
-        scenes[self.landmark], matched[self.landmark] = kept * self.scenes, kept * self.matched
+        kept, near_kept = np.exp(-novelty / np.array([SEEN_SCENES, NEAR_SCENES]))
+        scenes = np.zeros((len(points), 2, 2))
+        scenes[self.landmark] = np.stack([kept * self.seen, near_kept * self.near], axis=1)
         if len(matches.landmark) >= FEWEST_EDGES:
-            tested, is_matched = near_landmarks(matches, points, pose)
-            scenes[tested] += novelty
-            matched[tested] += novelty * is_matched
-        landmark = np.flatnonzero(scenes > _FORGOTTEN)
-        return NearLandmarks(landmark, scenes[landmark], matched[landmark], kept * self.before, self.maps)
+            in_view = np.flatnonzero(matches.visible)
+            near, is_matched = near_landmarks(matches, points, pose)
+            scenes[in_view, 0, 1 - np.isin(in_view, matches.landmark)] += novelty
+            scenes[near, 1, 1 - is_matched] += novelty
+        landmark = np.flatnonzero(scenes.sum(axis=(1, 2)) > _FORGOTTEN)
+        seen, near_seen = scenes[landmark, 0], scenes[landmark, 1]
+        return PlaceLandmarks(landmark, seen, near_seen, near_kept * self.before, self.maps)
 
 
 def near_landmarks(matches: Matches, points: Array, pose: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -25,7 +25,7 @@ from localiser.edges import Edges
 from localiser.errors import InputError
 from localiser.filter import FilterState, Odometry
 from localiser.geometry import Increment
-from localiser.observation import NearLandmarks, Sighting, Visibility
+from localiser.observation import PlaceLandmarks, Sighting
 from localiser.particles import Particles
 from localiser.relocalisation import History
 
@@ -240,11 +240,10 @@ def _increment(value: Increment) -> None:
         raise ValueError("expected a motion of three numbers and its covariance, found another")
 
 
-def _of_landmarks(value: Visibility | NearLandmarks) -> None:
-    columns = [getattr(value, field.name) for field in fields(value)]
-    shapes = {column.shape for column in columns if isinstance(column, np.ndarray)}
-    if len(shapes) > 1 or value.landmark.ndim != 1 or (np.diff(value.landmark, prepend=-1) <= 0).any():
-        raise ValueError("expected ascending landmarks with a number for each, found others")
+def _place_landmarks(value: PlaceLandmarks) -> None:
+    is_whole = value.seen.shape == value.near.shape == (len(value.landmark), 2)
+    if not is_whole or value.landmark.ndim != 1 or (np.diff(value.landmark, prepend=-1) <= 0).any():
+        raise ValueError("expected ascending landmarks with two pairs of numbers for each, found others")
 
 
 def _odometry(value: Odometry) -> None:
@@ -262,8 +261,7 @@ _FITTING: dict[type, Callable[[Any], None]] = {
     Particles: _particles,
     Edges: _edges,
     Increment: _increment,
-    Visibility: _of_landmarks,
-    NearLandmarks: _of_landmarks,
+    PlaceLandmarks: _place_landmarks,
     Sighting: _sighting,
     Odometry: _odometry,
     History: _history,

@@ -16,8 +16,8 @@ from localiser.filter.scene import APART, SCENE_M, Scene
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
-from localiser.observation import EdgeObservation, Matches, NearLandmarks, ObservationParameters, Sighting
-from localiser.observation.place_landmarks import NEAR_MEMORY_SCENES
+from localiser.observation import EdgeObservation, Matches, ObservationParameters, PlaceLandmarks, Sighting
+from localiser.observation.place_landmarks import NEAR_SCENES
 from localiser.particles import POSE, Particles
 from localiser.relocalisation import Candidates
 from localiser.storage import Site
@@ -123,32 +123,35 @@ def test_a_robot_that_drives_on_where_nothing_is_mapped_keeps_its_place(seed: in
 
 
 CLOUD = Particles(POSE, np.zeros((3, 10)), np.zeros(10))
-MISSED = NearLandmarks(np.arange(30), np.full(30, 9.0), np.zeros(30))
+NINE, NONE = np.full((30, 1), 9.0), np.zeros((30, 1))
+MISSED, MATCHED = (
+    PlaceLandmarks(np.arange(30), scenes, scenes) for scenes in (np.hstack([NONE, NINE]), np.hstack([NINE, NONE]))
+)
 
 
 def test_landmarks_that_are_missing_speak_against_the_map_at_the_tracked_place() -> None:
-    belief = Belief(0.9, 0.05, 0.0, 0.05, near=MISSED)
+    belief = Belief(0.9, 0.05, 0.0, 0.05, landmarks=MISSED)
     assert belief.warning and belief.p_correct(CLOUD, np.zeros(3), is_tracked=True) < 0.1
     assert belief.reason(0.1, Sighting(0, measurement=np.zeros(1))) == "edges contradict the map"
 
 
 def test_landmarks_that_are_missing_say_nothing_of_the_map_where_the_robot_is_elsewhere() -> None:
     """It was carried, say, and the place that is still tracked is improbable."""
-    belief = Belief(0.05, 0.6, 0.25, 0.1, near=MISSED)
+    belief = Belief(0.05, 0.6, 0.25, 0.1, landmarks=MISSED)
     assert not belief.warning
     assert belief.reason(0.1, Sighting(0, measurement=np.zeros(1))) == "several places fit"
 
 
-@pytest.mark.parametrize("near", [MISSED, NearLandmarks(np.arange(9), np.full(9, 9.0), np.full(9, 9.0))])
-def test_a_place_that_is_tracked_anew_is_tested_anew(near: NearLandmarks) -> None:
+@pytest.mark.parametrize("known", [MISSED, MATCHED])
+def test_a_place_that_is_tracked_anew_is_tested_anew(known: PlaceLandmarks) -> None:
     """What was seen from another place speaks against the map, not for this place, and fades."""
     others = Candidates.of(replace(CLOUD, columns=CLOUD.columns + 5.0))
-    found = Belief(0.001, 0.99, 0.0, 0.009, candidates=others, near=near).found(is_tracked=True)
-    for belief in (found[1], Belief(0.9, 0.05, 0.0, 0.05, near=near).released(CLOUD)):
-        assert not len(belief.near.landmark)
-        assert belief.near.log_odds == min(near.log_odds, 0.0)
-        later = belief.near.after(Matches.none(5, 30), np.zeros((30, 2)), np.zeros(3), 1.0)
-        assert later.log_odds == pytest.approx(np.exp(-1 / NEAR_MEMORY_SCENES) * belief.near.log_odds)
+    found = Belief(0.001, 0.99, 0.0, 0.009, candidates=others, landmarks=known).found(is_tracked=True)
+    for belief in (found[1], Belief(0.9, 0.05, 0.0, 0.05, landmarks=known).released(CLOUD)):
+        assert not len(belief.landmarks.landmark)
+        assert belief.landmarks.log_odds == min(known.log_odds, 0.0)
+        later = belief.landmarks.after(Matches.none(5, 30), np.zeros((30, 2)), np.zeros(3), 1.0)
+        assert later.log_odds == pytest.approx(np.exp(-1 / NEAR_SCENES) * belief.landmarks.log_odds)
 
 
 def test_they_are_not_asked_for_where_nothing_can_be_elsewhere() -> None:
@@ -158,7 +161,7 @@ def test_they_are_not_asked_for_where_nothing_can_be_elsewhere() -> None:
     robot.start(drive.truth[0], np.diag([0.1, 0.1, np.radians(3.0)]) ** 2, int(drive.t_ns[0]))
     known = [replace(one, landmark_id=np.full(len(one), -1)) for one in drive.edges]
     frames, _ = located(robot, replace(drive, edges=known))
-    assert len(frames) == 30 and not len(robot.state.belief.near.landmark)
+    assert len(frames) == 30 and not len(robot.state.belief.landmarks.landmark)
 
 
 def test_a_floor_that_nobody_mapped_is_as_likely_as_one_that_was_until_landmarks_tell() -> None:
@@ -170,15 +173,14 @@ def test_a_floor_that_nobody_mapped_is_as_likely_as_one_that_was_until_landmarks
         if start is not None:
             robot.start(start, START, int(drive.t_ns[0]))
         located(robot, replace(drive, t_ns=drive.t_ns[:4], edges=drive.edges[:4]))
-        assert robot.state.belief.near.maps == maps
-    found = NearLandmarks(maps=2)
+        assert robot.state.belief.landmarks.maps == maps
+    found = PlaceLandmarks(maps=2)
     assert found.probability == found.elsewhere(2).probability == pytest.approx(2 / 3)
-    belief = Belief(0.9, 0.05, 0.0, 0.05, near=found)
+    belief = Belief(0.9, 0.05, 0.0, 0.05, landmarks=found)
     assert belief.p_correct(CLOUD, np.zeros(3), is_tracked=True) == pytest.approx(0.6) and not belief.warning
     assert belief.reason(0.6, Sighting(0, measurement=np.zeros(1))) == "several places fit"
-    seen = NearLandmarks(np.arange(9), np.full(9, 9.0), np.full(9, 9.0), maps=2)
-    assert replace(belief, near=seen).p_correct(CLOUD, np.zeros(3), is_tracked=True) > 0.89
-    assert replace(belief, near=replace(seen, matched=np.zeros(9))).warning
+    seen, missed = (replace(belief, landmarks=replace(one, maps=2)) for one in (MATCHED, MISSED))
+    assert seen.p_correct(CLOUD, np.zeros(3), is_tracked=True) > 0.89 and missed.warning
 
 
 OBSERVATION = EdgeObservation(CAMERA, ObservationParameters())

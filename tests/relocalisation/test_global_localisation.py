@@ -191,8 +191,8 @@ def after(
     """Return the belief after an image of a robot that stood still."""
     still, found = Move(Increment.from_mean(np.zeros(3)), MotionParameters(), lambda cloud: cloud), None
     if few is not None:
-        hidden = belief.visibility.of_all(len(search.landmark_map))
-        views = [View(DETECTION_RATES, False, sighting.scene, visibility) for visibility in (None, hidden)]
+        shown = belief.landmarks.shown(len(search.landmark_map))
+        views = [View(DETECTION_RATES, False, sighting.scene, visibility) for visibility in (None, shown)]
         by_rate = search.observation.by_views(few, sighting, search.landmark_map, views)
         found = Weighed(few, InlierRate.unknown(), 0.0, few, *by_rate)
     return belief.after(search, found, like, sighting, jump, still, np.random.default_rng(0))

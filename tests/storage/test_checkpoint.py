@@ -20,7 +20,7 @@ from localiser.errors import InputError
 from localiser.filter import FilterState, Mcl, MclParameters, Odometry, step
 from localiser.filter.scene import Scene, SeenImage
 from localiser.geometry import Array, Increment
-from localiser.observation import EdgeObservation, NearLandmarks, ObservationParameters, Visibility
+from localiser.observation import EdgeObservation, ObservationParameters, PlaceLandmarks
 from localiser.storage.checkpoint import (
     FORMAT,
     Checkpoint,
@@ -236,7 +236,7 @@ def test_a_motion_of_a_run_is_taken(tmp_path: Path) -> None:
     assert equal(load(tmp_path / "state").state, state)
 
 
-TWO = np.array([1, 2])
+TWO, SCENES = np.array([1, 2]), np.full((2, 2), 0.5)
 IMPOSSIBLE = {
     "a weight too few": in_part("particles", lambda cloud: {"log_weight": cloud.log_weight[1:]}),
     "far away": in_part("particles", lambda cloud: {"columns": np.where(cloud.columns == 0, 0.5, 1e300)}),
@@ -244,9 +244,8 @@ IMPOSSIBLE = {
     "a pose of two numbers": short_pose,
     "a lean too few": in_part("seen", lambda seen: {"edges": replace(seen.edges, lean=seen.edges.lean[1:])}),
     "a motion of two numbers": lambda state: last_image(state, mean=np.zeros(2)),
-    "landmarks out of order": in_part("belief", lambda _: {"visibility": Visibility(TWO[::-1], np.array([0.1, 0.9]))}),
-    "a probability too few": in_part("belief", lambda _: {"visibility": Visibility(TWO, np.array([0.1]))}),
-    "a scene too few": in_part("belief", lambda _: {"near": NearLandmarks(TWO, np.array([0.5]), np.array([0.5]))}),
+    "landmarks out of order": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO[::-1], SCENES, SCENES)}),
+    "a scene too few": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO, SCENES, SCENES[:1])}),
 }
 
 

@@ -2,20 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy.stats import beta
 
 from localiser.geometry import Array
-from localiser.observation import Matches, NearLandmarks, Visibility
+from localiser.observation import Matches, PlaceLandmarks
 from localiser.observation.inlier_rate import INLIER_RATES, MEMORY_FRAMES, PRIOR_FRAMES, InlierRate
 from localiser.observation.place_landmarks import (
     ANOTHER,
     BY_CHANCE,
     FEWEST_EDGES,
-    FOUND,
-    FOUND_HIDDEN,
     MATCHED,
-    NEAR_MEMORY_SCENES,
-    USUAL,
-    VISIBILITY_CHANGES,
+    NEAR_SCENES,
+    SEEN_SCENES,
     near_landmarks,
 )
 
@@ -33,7 +31,7 @@ def at(range_m: float, bearing_deg: float) -> list[float]:
     return [range_m * float(np.sin(bearing)), -range_m * float(np.cos(bearing))]
 
 
-def after(known: NearLandmarks, is_matched: Array, novelty: float = 1.0) -> NearLandmarks:
+def after(known: PlaceLandmarks, is_matched: Array, novelty: float = 1.0) -> PlaceLandmarks:
     """Return what is known after an image of landmarks of which none stands before another."""
     points = np.array([at(2.0, bearing) for bearing in np.linspace(-25.0, 25.0, len(is_matched))])
     found = np.flatnonzero(is_matched).tolist()
@@ -61,34 +59,35 @@ def test_nothing_is_known_at_first_and_by_images_that_tell_nothing() -> None:
     points, seen = np.array([at(2.0, 0.0)]), matches([0], [True])
     few = matches([0], [True], FEWEST_EDGES - 1)
     for known in (
-        NearLandmarks(),
-        NearLandmarks().after(few, points, HERE, 1.0),
-        NearLandmarks().after(seen, points, HERE, 0.0),
+        PlaceLandmarks(),
+        PlaceLandmarks().after(few, points, HERE, 1.0),
+        PlaceLandmarks().after(seen, points, HERE, 0.0),
     ):
         assert known.log_odds == 0.0 and known.probability == 1.0
 
 
 def test_each_landmark_counts_once_however_often_it_is_seen() -> None:
-    """By the sum of the module, landmark by landmark."""
-    known = NearLandmarks()
+    """By the integral over how often it is matched."""
+    known = PlaceLandmarks()
     for _ in range(4):
         known = after(known, np.array([True, False]), 0.5)
-    kept = np.exp(-0.5 / NEAR_MEMORY_SCENES)
-    scenes = 0.5 * (1 + kept + kept**2 + kept**3)
-    weight = 1 - np.exp(-scenes)
-    expected = weight * np.log(MATCHED / BY_CHANCE) + weight * np.log((1 - MATCHED) / (1 - BY_CHANCE))
-    assert known.log_odds == pytest.approx(expected)
-    missed = NearLandmarks(np.arange(20), np.full(20, 50.0), np.zeros(20))
-    odds = ((1 - MATCHED) / (1 - BY_CHANCE)) ** 20
-    assert missed.probability == pytest.approx((1 + ANOTHER) / (1 + ANOTHER / odds))
+    kept = np.exp(-0.5 / NEAR_SCENES)
+    scenes, expected = 0.5 * (1 + kept + kept**2 + kept**3), 0.0
+    for sign, (a, b) in ((1, MATCHED), (-1, BY_CHANCE)):
+        expected += sign * np.log(
+            beta(a, b).expect(lambda r: r**scenes) * beta(a, b).expect(lambda r: (1 - r) ** scenes)
+        )
+    assert known.log_odds == pytest.approx(expected, rel=1e-6)
+    missed = PlaceLandmarks(np.arange(20), np.zeros((20, 2)), np.tile([0.0, 50.0], (20, 1)))
+    assert missed.probability == pytest.approx((1 + ANOTHER) / (1 + ANOTHER * np.exp(-missed.log_odds)))
     for _ in range(40):
         known = after(known, np.array([True, False]))
-    assert known.log_odds == pytest.approx(np.log(MATCHED * (1 - MATCHED) / (BY_CHANCE * (1 - BY_CHANCE))), rel=1e-6)
+    assert abs(known.log_odds) < 2.0 < -missed.log_odds
 
 
 def test_small_steps_tell_as_much_as_large_ones() -> None:
     """At 30 Hz an image is a hundredth of a scene."""
-    small, large = NearLandmarks(), NearLandmarks()
+    small, large = PlaceLandmarks(), PlaceLandmarks()
     for _ in range(200):
         small = after(small, np.array([True, False, False]), 0.01)
     for _ in range(20):
@@ -97,39 +96,39 @@ def test_small_steps_tell_as_much_as_large_ones() -> None:
 
 
 def test_what_was_seen_fades_on_the_way() -> None:
-    known, gone = NearLandmarks(), matches([], [False] * 4)
+    known, gone = PlaceLandmarks(), matches([], [False] * 4)
     for _ in range(10):
         known = after(known, np.ones(4))
-    seen, fresh = known.scenes[0], known.log_odds
+    fresh, scenes = known.log_odds, known.near
     for _ in range(150):  # 45 m
         known = known.after(gone, np.zeros((4, 2)), HERE, 1.0)
-    assert known.log_odds == pytest.approx(fresh * (1 - np.exp(-seen * np.exp(-150 / NEAR_MEMORY_SCENES))), rel=1e-3)
-    assert 0.4 < known.log_odds / fresh < 0.6
-    for _ in range(int(10 * NEAR_MEMORY_SCENES)):
+    np.testing.assert_allclose(known.near, np.exp(-150 / NEAR_SCENES) * scenes)
+    assert 0.2 < known.log_odds / fresh < 0.6
+    for _ in range(int(12 * NEAR_SCENES)):
         known = known.after(gone, np.zeros((4, 2)), HERE, 1.0)
     assert not len(known.landmark) and known.log_odds == 0.0
 
 
 def test_how_often_maps_are_said_not_to_fit_by_chance() -> None:
-    """Drives past 60 landmarks, each matched or not; on a map of the building fewer than 1 in 230 by Ville."""
+    """Drives past 60 landmarks, each matched as often as Beta has it; on the right map fewer than 1 in 230 by Ville."""
     rng = np.random.default_rng(5)
 
-    def missing(chance: float) -> bool:
-        known = NearLandmarks()
+    def missing(a: float, b: float) -> bool:
+        known = PlaceLandmarks()
         for _ in range(12):
-            is_matched = rng.random(5) < chance
+            chance = rng.beta(a, b, 5)
             points = np.array([at(2.0, bearing) for bearing in np.linspace(-25.0, 25.0, 60)])
             index = np.arange(len(known.landmark), len(known.landmark) + 5)
             visible = np.isin(np.arange(60), index)
             for _ in range(3):
-                found = index[is_matched].tolist()
+                found = index[rng.random(5) < chance].tolist()
                 known = known.after(matches(found, visible.tolist(), FEWEST_EDGES), points, HERE, 1.0)
             if known.are_missing:
                 return True
         return False
 
-    assert sum(missing(MATCHED) for _ in range(200)) <= 4  # 1 in 230, at 99 %
-    assert sum(missing(0.15) for _ in range(50)) >= 40
+    assert sum(missing(*MATCHED) for _ in range(200)) <= 4  # 1 in 230, at 99 %
+    assert sum(missing(0.2, 1.8) for _ in range(50)) >= 40
 
 
 RATIO = 30.0  # how much likelier an edge is under a landmark that fits than under clutter
@@ -209,46 +208,32 @@ def test_particles_taken_in_parts_have_the_same_bytes(count: int) -> None:
     assert rates.log_mean(by_rate).tobytes() == (top + np.log(np.exp(joint - top).sum(axis=0))).tobytes()
 
 
-def seen_as(landmark: list[int], visible: list[bool]) -> Matches:
-    return Matches(np.array(landmark, dtype=np.int64), np.zeros(len(landmark)), np.array(visible))
+def seen_as(landmark: list[int], visible: list[bool]) -> tuple[Matches, Array, Array]:
+    return matches(landmark, visible), np.tile(at(9.0, 0.0), (len(visible), 1)), HERE
 
 
-def test_nothing_is_known_at_first() -> None:
-    np.testing.assert_array_equal(Visibility().of_all(3), USUAL)
-
-
-def test_an_image_is_evidence_by_the_rule_of_bayes() -> None:
-    known = Visibility().after(seen_as([2, -1, 2], [True, False, True]), 1.0)
-    missed = (1 - FOUND) * USUAL / ((1 - FOUND) * USUAL + (1 - FOUND_HIDDEN) * (1 - USUAL))
-    matched = FOUND * USUAL / (FOUND * USUAL + FOUND_HIDDEN * (1 - USUAL))
-    np.testing.assert_allclose(known.of_all(3), [missed, USUAL, matched])
-
-
-def test_a_landmark_out_of_view_is_forgotten_as_a_chain_of_two_states_has_it() -> None:
-    known = Visibility().after(seen_as([0], [True]), 1.0)
-    expected, changes = known.of_all(1)[0], (1 - np.exp(-2 * VISIBILITY_CHANGES)) / 2  # of a chain, in a scene
-    for _ in range(3):
-        known = known.after(seen_as([], [False]), 1.0)
-        expected = (1 - changes) * expected + changes * (1 - expected)
-    np.testing.assert_allclose(known.of_all(1), expected)
-    for _ in range(20):
-        known = known.after(seen_as([], [False]), 1.0)
+def test_how_often_a_landmark_shows_is_learnt_by_the_rule_of_bayes() -> None:
+    """Far ones too; every scene with a match counts for one more of them, every other one for one without."""
+    (a, b), known = MATCHED, PlaceLandmarks()
+    usual = a / (a + b)
+    np.testing.assert_array_equal(known.shown(3), usual)
+    known = known.after(*seen_as([2, -1, 2], [True, False, True]), 1.0)
+    np.testing.assert_allclose(known.shown(3), [a / (a + b + 1), usual, (a + 1) / (a + b + 1)])
+    assert known.log_odds == 0.0
+    again = known.after(*seen_as([0], [True] * 3), 0.0)
+    np.testing.assert_array_equal(again.shown(3), known.shown(3))
+    for _ in range(int(12 * SEEN_SCENES)):
+        known = known.after(*seen_as([], [False] * 3), 1.0)
     assert not len(known.landmark)
 
 
-def test_an_image_of_the_same_scene_tells_nothing() -> None:
-    known = Visibility().after(seen_as([0], [True, True]), 1.0)
-    again = known.after(seen_as([1], [True, True]), 0.0)
-    np.testing.assert_array_equal(again.of_all(2), known.of_all(2))
-
-
 @pytest.mark.parametrize("is_hidden", [True, False])
-def test_what_is_missed_by_chance_is_still_visible(is_hidden: bool) -> None:
-    """Ten scenes of which each misses a visible landmark with 0.15, and matches a hidden one by chance with 0.1."""
-    rng, known = np.random.default_rng(3), Visibility()
+def test_what_is_missed_by_chance_still_shows(is_hidden: bool) -> None:
+    """Ten scenes, of which each matches a landmark that shows with 0.85, and a hidden one by chance with 0.1."""
+    rng, known = np.random.default_rng(3), PlaceLandmarks()
     wrong = 0
     for _ in range(200):
-        is_matched = rng.random() < (FOUND_HIDDEN if is_hidden else FOUND)
-        known = known.after(seen_as([0] if is_matched else [], [True]), 1.0)
-        wrong += (known.of_all(1)[0] > 0.5) == is_hidden
+        is_matched = rng.random() < (0.1 if is_hidden else 0.85)
+        known = known.after(*seen_as([0] if is_matched else [], [True]), 1.0)
+        wrong += (known.shown(1)[0] > 0.5) == is_hidden
     assert wrong < 40
