@@ -146,15 +146,15 @@ def _likeliest(miss: NadirMiss, prior_sigma_rad: Array) -> Array:
 
 
 def mount_error_of_edges(
-    edges: Edges, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float, *, lens_sigma: float = LENS_SIGMA
+    edges: Edges, ends: Array, camera: Camera, prior_sigma_rad: Array, plumb_sigma_rad: float, *, lens_sigma: float
 ) -> MountError:
     """Return the error of the stated tilt and roll of `camera` that one image's edges (E) tell; see `fit_mount`.
 
-    `plumb_sigma_rad` is the same for edges of any length; that they are not straight counts for more in shorter ones.
-    lens_sigma: see `nadir_miss`. 0 where many images follow each other: an error of the lens is the same in all of
-    them, and one that is estimated anew in each is not.
+    ends: (E, 2, 2) of the edges in image coordinates. `plumb_sigma_rad` is the same for edges of any length; that they
+    are not straight counts for more in shorter ones. lens_sigma: see `nadir_miss`. 0 where many images follow each
+    other: an error of the lens is the same in all of them, and one that is estimated anew in each is not.
     """
-    ideal_px = camera.ideal.pixels_from_image(camera.image_from_pixels(edges.ends_px))
+    ideal_px = camera.ideal.pixels_from_image(ends)
     miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad, lens_sigma=lens_sigma)
     sigma, tilt_rad = edges.lean_sigma, camera.mount.tilt_rad
     if TURN_RATE in edges.common.names and tilt_rad != 0:

@@ -50,13 +50,14 @@ class Attitude:
         kept = float(np.exp(-path_m / MEMORY_M))
         return Attitude(kept * self.mean, kept**2 * self.cov + (1 - kept**2) * stated_cov)
 
-    def given(self, edges: Edges, camera: Camera, plumb_sigma_rad: float, novelty: float) -> Attitude:
+    def given(self, edges: Edges, ends: Array, camera: Camera, plumb_sigma_rad: float, novelty: float) -> Attitude:
         """Return what is known after an image. novelty: how much of its evidence is new, 0 … 1.
 
-        camera: as it was mounted then. plumb_sigma_rad: how far real edges are from plumb.
+        ends: (E, 2, 2) of the edges in image coordinates. camera: as it was mounted then. plumb_sigma_rad: how far real
+        edges are from plumb.
         """
         prior_sigma = np.maximum(np.sqrt(np.diag(_of_attitude(edges.common.cov))), _LEAST_SIGMA_RAD)
-        image = mount_error_of_edges(edges, camera, prior_sigma, plumb_sigma_rad, lens_sigma=0.0)
+        image = mount_error_of_edges(edges, ends, camera, prior_sigma, plumb_sigma_rad, lens_sigma=0.0)
         # What the image tells beside the prior, which counts once and not with every image.
         certain = np.linalg.inv(image.cov)
         information, pull = novelty * (certain - np.diag(prior_sigma**-2.0)), novelty * certain @ image.mean
@@ -64,12 +65,12 @@ class Attitude:
         cov = (cov + cov.T) / 2
         return Attitude(self.mean + cov @ (pull - information @ self.mean), cov)
 
-    def levelled(self, edges: Edges, camera: Camera) -> Edges:
+    def levelled(self, edges: Edges, ends: Array, camera: Camera) -> Edges:
         """Return the edges as a camera mounted as stated would have measured them; what is common to them is `cov`.
 
-        camera: whatever its mount is, that of the edges counts.
+        ends, camera: as for `given`.
         """
-        common, camera, known = edges.common, camera.at(edges.mount), len(MOUNT)
+        common, known = edges.common, len(MOUNT)
         bearing = edges.bearing + common.bearing_from_line[:, :known] @ self.mean
         lean = edges.lean
         if camera.mount.tilt_rad != 0:  # else a lean tells no bearing
@@ -82,16 +83,16 @@ class Attitude:
             edges,
             bearing=bearing,
             lean=lean,
-            ends_px=self._levelled_px(edges.ends_px, camera),
+            ends_px=self._levelled_px(edges.ends_px, ends, camera),
             common=replace(common, cov=cov),
         )
 
-    def _levelled_px(self, ends_px: Array, camera: Camera) -> Array:
+    def _levelled_px(self, ends_px: Array, ends: Array, camera: Camera) -> Array:
         """Return where ends (E, 2, 2) would be in an image of the stated mount; those at the border are still there."""
-        tilt, roll = self.mean
-        mount = camera.mount
-        turned = camera.with_mount(tilt_rad=mount.tilt_rad + float(tilt), roll_rad=mount.roll_rad + float(roll))
-        moved = camera.project_level(turned.level_rays(ends_px))
+        mount, (tilt, roll) = camera.mount, self.mean.tolist()
+        turned = camera.with_mount(tilt_rad=mount.tilt_rad + tilt, roll_rad=mount.roll_rad + roll)
+        rays = np.concatenate([ends, -np.ones_like(ends[..., :1])], axis=-1)
+        moved = camera.project_level(rays @ turned.level_from_camera.T)
         return np.where(at_border(ends_px, camera)[..., None] | ~np.isfinite(moved), ends_px, moved)
 
 
@@ -118,8 +119,9 @@ class Level:
         elif (camera.mount.tilt_rad, camera.mount.roll_rad) != (self.camera.mount.tilt_rad, self.camera.mount.roll_rad):
             return edges, attitude
         before = Attitude.stated(stated_cov) if attitude is None else attitude.after(path_m, stated_cov)
-        now = before.given(edges, camera, self.plumb_sigma_rad, novelty)
-        return now.levelled(edges, camera), now
+        ends = camera.image_from_pixels(edges.ends_px)  # to undo a lens's distortion takes long
+        now = before.given(edges, ends, camera, self.plumb_sigma_rad, novelty)
+        return now.levelled(edges, ends, camera), now
 
 
 def measured_for_image(mount: Mount) -> bool:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.edges.find import vertical_segments as chosen_segments
-from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
+from localiser.edges.mount import LENS_SIGMA, fit_mount, mount_error_of_edges, nadir_miss
 from localiser.edges.types import BearingSensor, Segments, complete
 from localiser.errors import InputError
 from localiser.landmarks import LandmarkMap, sight
@@ -53,6 +53,11 @@ def test_derivative_by_the_lens_is_that_of_a_small_distortion(roll_deg):
     assert not nadir_miss(taken, bent, PLUMB_RAD, lens_sigma=lens_sigma).per_mount[:, 2].any()
 
 
+def told_by(edges, camera, prior_sigma_rad, plumb_sigma_rad, lens_sigma=LENS_SIGMA):
+    ends = camera.image_from_pixels(edges.ends_px)
+    return mount_error_of_edges(edges, ends, camera, prior_sigma_rad, plumb_sigma_rad, lens_sigma=lens_sigma)
+
+
 def test_a_lens_that_bends_what_it_is_said_not_to_does_not_turn_the_camera():
     """Edges in the upper half alone lean as if the camera were tilted; those below the middle tell the two apart."""
     stated = camera_of(tilt_deg=10.0)
@@ -65,7 +70,7 @@ def test_a_lens_that_bends_what_it_is_said_not_to_does_not_turn_the_camera():
     ends = bent.pixels_from_image(stated.image_from_pixels(np.concatenate(exact)))
     edges = Edges.from_columns(nan, nan, nan, np.full(32, 1e-4), ends_px=ends)
     prior_rad, plumb_rad = np.deg2rad([3.0, 2.0]), np.deg2rad(0.1)
-    told = [mount_error_of_edges(edges, stated, prior_rad, plumb_rad, lens_sigma=sigma) for sigma in (0.02, 0.0)]
+    told = [told_by(edges, stated, prior_rad, plumb_rad, lens_sigma=sigma) for sigma in (0.02, 0.0)]
     tilt, tilt_of_no_lens = (abs(np.rad2deg(error.mean[0])) for error in told)
     assert tilt < 0.3
     assert tilt_of_no_lens > 0.6
@@ -134,7 +139,7 @@ def test_edges_that_are_not_quite_straight_count_by_their_length():
     for _ in range(100):
         rough = ends + rng.normal(0, 0.35, ends.shape) * [1.0, 0.0]
         edges = Edges.from_columns(unknown, unknown, unknown, np.full(26, 1e-4), ends_px=rough)
-        error = mount_error_of_edges(edges, camera, np.deg2rad([3.0, 3.0]), np.deg2rad(0.01), lens_sigma=0.0)
+        error = told_by(edges, camera, np.deg2rad([3.0, 3.0]), np.deg2rad(0.01), lens_sigma=0.0)
         normalised.append(error.mean / np.sqrt(np.diag(error.cov)))
     assert np.all(np.abs(np.std(normalised, axis=0) - 1) < 0.25)
 
@@ -147,7 +152,7 @@ def test_an_image_taken_with_a_wrong_tilt_gives_the_true_one():
     stated = camera.with_mount(tilt_rad=np.deg2rad(17.0), roll_rad=np.deg2rad(1.5))
     prior_rad = np.deg2rad([3.0, 1.0])
     edges = find_edges(image, stated, EdgeParameters(tilt_sigma_deg=3.0, roll_sigma_deg=1.0))
-    error = mount_error_of_edges(edges, stated, prior_rad, PLUMB_RAD)
+    error = told_by(edges, stated, prior_rad, PLUMB_RAD)
     np.testing.assert_allclose(np.rad2deg(error.mean), [3.0, -0.5], atol=0.2)
 
 
@@ -164,7 +169,7 @@ def test_sigmas_are_learnt_from_how_crooked_edges_are(crooked):
         edges = Edges.from_columns(unknown, unknown, unknown, np.full(count, 1e-4), ends_px=ends)
         off = np.deg2rad(rng.normal(0, [0.5, 0.3]))
         moved = camera.with_mount(tilt_rad=camera.mount.tilt_rad + off[0], roll_rad=off[1])
-        error = mount_error_of_edges(edges, moved, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3))
+        error = told_by(edges, moved, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3))
         normalised.append((error.mean + off) / np.sqrt(np.diag(error.cov)))
         told.append(error.crooked)
     if crooked < 0.1:
@@ -179,7 +184,7 @@ def test_two_edges_are_taken_to_be_as_crooked_as_is_stated():
     ends = vertical_segments(camera, np.array([-20.0, 20.0])).ends_px
     unknown = np.full(2, np.nan)
     edges = Edges.from_columns(unknown, unknown, unknown, np.full(2, 1e-4), ends_px=ends)
-    error = mount_error_of_edges(edges, camera, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3))
+    error = told_by(edges, camera, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3))
     assert 0.6 < error.crooked < 1.0
 
 

@@ -67,7 +67,7 @@ def test_levelled_edges_are_those_of_a_camera_that_hangs_as_stated() -> None:
     known = Attitude(ERROR, np.zeros((2, 2)))
     feet = 0
     for pose, hanging in list(zip(drive().poses, frames_of(HANGING, exact), strict=True))[::10]:
-        found = known.levelled(hanging, STATED)
+        found = known.levelled(hanging, STATED.image_from_pixels(hanging.ends_px), STATED)
         true_bearing = HANGING.bearing_of_segments(hanging.ends_px)
         true_lean = np.arctan(np.sin(STATED.mount.tilt_rad) * np.tan(true_bearing))
         # Second order in the error is left: a hundredth of it.
@@ -99,12 +99,13 @@ def test_the_update_is_filterpys(seed: int) -> None:
     root = rng.standard_normal((2, 2)) * SIGMA
     known = Attitude(ERROR * rng.standard_normal(2), root @ root.T)
     novelty = rng.uniform(0.1, 1.0)
-    image = mount_error_of_edges(edges, STATED, SIGMA, PLUMB, lens_sigma=0.0)
+    ends = STATED.image_from_pixels(edges.ends_px)
+    image = mount_error_of_edges(edges, ends, STATED, SIGMA, PLUMB, lens_sigma=0.0)
     noise = np.linalg.inv(novelty * (np.linalg.inv(image.cov) - np.diag(SIGMA**-2.0)))
     kalman = KalmanFilter(dim_x=2, dim_z=2)
     kalman.x, kalman.P, kalman.H = known.mean.copy(), known.cov.copy(), np.eye(2)
     kalman.update(noise @ (novelty * np.linalg.inv(image.cov) @ image.mean), R=noise)
-    found = known.given(edges, STATED, PLUMB, novelty)
+    found = known.given(edges, ends, STATED, PLUMB, novelty)
     np.testing.assert_allclose(found.mean, kalman.x, rtol=1e-9)
     np.testing.assert_allclose(found.cov, kalman.P, rtol=1e-9, atol=1e-9 * np.trace(kalman.P))
 
@@ -112,7 +113,8 @@ def test_the_update_is_filterpys(seed: int) -> None:
 def test_an_image_seen_again_tells_nothing_and_what_was_learnt_is_forgotten() -> None:
     stated = np.diag(SIGMA**2)
     known = Attitude(ERROR, stated / 100)
-    again = known.given(frames_of(HANGING)[0], STATED, PLUMB, novelty=0.0)
+    edges = frames_of(HANGING)[0]
+    again = known.given(edges, STATED.image_from_pixels(edges.ends_px), STATED, PLUMB, novelty=0.0)
     np.testing.assert_allclose(again.mean, known.mean)
     np.testing.assert_allclose(again.cov, known.cov)
     standing, far = known.after(0.0, stated), known.after(20 * MEMORY_M, stated)
