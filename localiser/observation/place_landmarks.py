@@ -19,7 +19,7 @@ beside the robot, which tells of the map, within 60. On a map of the building a 
 wrong, so odds against one still count when another one is tracked in its stead, and fade as scenes do.
 
 Of a building of which n floors are mapped there may be one more, whose walls are those of the others. A place that was
-found on one of n maps has odds of n to it, until landmarks beside the robot tell.
+found on one of n maps has odds of n to it, until landmarks beside the robot tell, each with log-odds of 0.6 at most.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ BEFORE_M, BESIDE_RAD = 0.15, np.radians(30.0)  # a landmark that is nearer than 
 FEWEST_EDGES = 5  # of an image that tells: fewer may all be of anything
 MATCHED, BY_CHANCE = (0.57, 0.78), (0.41, 1.37)  # a, b: on a map of the building, and on another one
 SEEN_SCENES, NEAR_SCENES = 8.0, 60.0  # within which scenes fade by a factor of e
+SAME_WALLS = 0.6  # log-odds, at most, of a landmark for one of several floors, whose walls may be the same
 ANOTHER = 0.01  # odds that a map which is believed is of another building
 UNLIKELY = 0.3  # below this probability the map is said not to fit
 _FORGOTTEN = 1e-4  # scenes that are not kept
@@ -69,7 +70,7 @@ class PlaceLandmarks:
         from scipy.special import betaln
 
         here, another = (betaln(*(self.near + prior).T) - betaln(*prior) for prior in (MATCHED, BY_CHANCE))
-        return self.before + float((here - another).sum())
+        return self.before + float(np.minimum(here - another, SAME_WALLS if self.maps > 1 else np.inf).sum())
 
     @property
     def probability(self) -> float:
