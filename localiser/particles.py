@@ -94,7 +94,8 @@ class Estimate:
     @property
     def as_seen(self) -> Estimate:
         """The pose of the robot from where a camera without a yaw of its own sees the same."""
-        turned = np.eye(3, len(self.names)) + np.outer([0.0, 0.0, 1.0], np.array(self.names) == CAMERA_YAW)
+        turned = np.eye(3, len(self.names))
+        turned[2] += [name == CAMERA_YAW for name in self.names]
         return Estimate(POSE, turned @ self.mean, turned @ self.cov @ turned.T)
 
     @property
@@ -318,19 +319,16 @@ def _summarised(poses: Array, share: Array, part: Indices) -> Clusters:
     inside = np.argsort(part, kind="stable")[np.count_nonzero(part < 0) :]
     count = np.bincount(part[inside])
     first = np.cumsum(count) - count  # of each part, whose poses follow each other
-    share, (x, z, heading) = share[inside], np.take(poses.T, inside, axis=1)
-    sums = np.add.reduceat(share * [np.ones_like(x), x, z, *cos_sin(heading)], first, axis=1)
+    share, columns = share[inside], np.take(poses.T, inside, axis=1)
+    sums = np.add.reduceat(share * [np.ones_like(share), *columns[:2], *cos_sin(columns[2])], first, axis=1)
     weight = sums[0]
-    mean_x, mean_z, cos, sin = sums[1:] / weight
-    mean = np.stack([mean_x, mean_z, np.arctan2(sin, cos)], axis=-1)
-    dx, dz, turn = np.array([x, z, heading]) - np.repeat(mean.T, count, axis=1)
-    turn = wrap_angle(turn)
-    xx, xz, xt, zz, zt, tt = (
-        np.add.reduceat(share * [dx * dx, dx * dz, dx * turn, dz * dz, dz * turn, turn * turn], first, axis=1) / weight
-    )
-    cov = np.array([[xx, xz, xt], [xz, zz, zt], [xt, zt, tt]]).transpose(2, 0, 1)
+    x, z, cos, sin = sums[1:] / weight
+    mean = np.array([x, z, np.arctan2(sin, cos)])
+    off = columns - np.repeat(mean, count, axis=1)
+    off[2] = wrap_angle(off[2])
+    cov = np.add.reduceat(share * (off[:, None] * off), first, axis=2) / weight
 
     order = np.argsort(-weight, kind="stable")
     label = np.full(len(poses), -1)
     label[inside] = np.repeat(np.argsort(order), count)
-    return Clusters(weight[order], mean[order], cov[order], label)
+    return Clusters(weight[order], mean.T[order], cov.transpose(2, 0, 1)[order], label)

@@ -150,7 +150,7 @@ class MotionParameters:
         return replace(particles, columns=columns, constant_error_cov=cov)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Step:
     """How N particles are about to move.
 
@@ -168,12 +168,12 @@ class Step:
     root: Array
     whitened: Array
 
-    @property
+    @cached_property
     def poses(self) -> Array:
         """Where (3, N) the steps that are expected lead."""
         return self.start + _in_map(self.expected, self.cos, self.sin)
 
-    @property
+    @cached_property
     def axes(self) -> Array:
         """Derivatives (3, 3, N) of the poses by the standardised step, which is three standard normal draws."""
         return _in_map(self.root[..., None], self.cos, self.sin)
