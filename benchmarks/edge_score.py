@@ -10,7 +10,7 @@ from edge_scenes import Scene
 
 from localiser.camera import Camera
 from localiser.edges import EdgeParameters, Edges, find_edges
-from localiser.edges.mount import fit_mount, mount_error_of_edges, nadir_miss
+from localiser.edges.mount import LENS_SIGMA, fit_mount, mount_error_of_edges, nadir_miss
 from localiser.edges.types import Segments
 from localiser.geometry import Array
 
@@ -166,6 +166,8 @@ def _from_edges(scene: Scene, camera: Camera) -> Array:
     parameters = EdgeParameters(tilt_sigma_deg=float(sigma[0]), roll_sigma_deg=float(sigma[1]))
     for _ in range(_ROUNDS):
         edges = find_edges(scene.image, camera, parameters)
-        camera = _moved(camera, mount_error_of_edges(edges, camera, np.deg2rad(sigma), _PLUMB_RAD).mean)
+        ends, prior = camera.image_from_pixels(edges.ends_px), np.deg2rad(sigma)
+        told_by = mount_error_of_edges(edges, ends, camera, prior, _PLUMB_RAD, lens_sigma=LENS_SIGMA)
+        camera = _moved(camera, told_by.mean)
         told.append(_mount(camera))
     return np.asarray(np.mean(told[1:], axis=0))

@@ -116,7 +116,7 @@ def is_silent(odometry: deque[Odometry], start_ns: int, t_ns: int) -> bool:
 
 def near_weight(particles: Particles, pose: Array) -> float:
     """Return the weight, 0 … 1, of the particles within 0.5 m and 10° of `pose` (3,)."""
-    return float(min(particles.weight[is_near(particles.poses, pose)].sum(), 1.0))
+    return float(min(particles.weight[is_near(particles.columns[:3].T, pose)].sum(), 1.0))
 
 
 def is_near(poses: Array, pose: Array) -> NDArray[np.bool_]:
