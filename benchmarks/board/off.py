@@ -28,10 +28,6 @@ def _set(path: str, value: Any) -> Patch:
     return patch
 
 
-def _same(self: Any, *_: Any, **__: Any) -> Any:
-    return self
-
-
 def _all(*patches: Patch) -> Patch:
     def patch() -> None:
         for one in patches:
@@ -74,7 +70,7 @@ MECHANISMS: dict[str, Patch] = {
     "attitude": _set("filter.attitude:Level.levelled", lambda self, attitude, edges, *_: (edges, attitude)),
     "optimal-proposal": _set(
         "filter.optimal_proposal:OptimalProposal.moved",
-        lambda self, cloud, increment, motion, rng: motion.predict(cloud, increment, rng),
+        lambda self, cloud, step, increment, motion, rng: motion.predict(cloud, increment, rng),
     ),
     "tempering-stages": _all(_set("filter.tempering:MOST_STAGES", 1), _set("filter.optimal_proposal:MOST_STAGES", 0)),
 }

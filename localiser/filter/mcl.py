@@ -198,7 +198,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
         found = _weighed(mcl, state, state.particles, image, rng)
         # Do edges and map contradict the wheels? Then the robot moved as the edges say.
-        motion = _contradicted(mcl, state, sighting, found.log_fit, image, rng)
+        motion = _contradicted(mcl, state, sighting, found.particles, image, rng)
         if motion is not None:
             drive = replace(drive, moves=[motion], increment=motion)
             image = _received(mcl, state, sighting, drive)
@@ -287,9 +287,10 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
     if mcl.edges is not None:
         scene, density, jump = scene.followed(mcl.edges, motion, sighting, increment)
         sighting = replace(sighting, scene=density)
-        if seen is not None and novelty < 1.0:
+        if seen is not None and len(seen.edges) and novelty < 1.0:
             now, turn_var = mcl.edges.frame(sighting.edges), float(covariance_of(motion, increment)[2, 2])
-            before = EarlierFrame.of(mcl.edges.frame(seen.edges), now, increment, turn_var)
+            last = mcl.edges.frame(state.scene.images[-1].sighting.edges)  # levelled, too
+            before = EarlierFrame.of(last, now, increment, turn_var)
             sighting = replace(sighting, persistent=persistent_clutter(now, before, seen.clutter))
     return _Image(drive, sighting, novelty, jump, scene, attitude)
 
@@ -324,11 +325,11 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
 
 
 def _contradicted(
-    mcl: Mcl, state: FilterState, sighting: Sighting, log_fit: float, image: _Image, rng: np.random.Generator
+    mcl: Mcl, state: FilterState, sighting: Sighting, weighed: Particles, image: _Image, rng: np.random.Generator
 ) -> Increment | None:
     """Return how the robot moved as the edges say, where they and the map contradict the wheels; None where not.
 
-    log_fit: of the map, where the wheels lead.
+    weighed: the particles, where the wheels lead.
     """
     seconds, seen, increment = (sighting.t_ns - state.at_ns) / 1e9, state.seen, image.drive.increment
     odometer, observation = mcl.odometer, mcl.edges
@@ -350,15 +351,14 @@ def _contradicted(
         before, now = (one.edges.longest(MOST_FOLLOWED) for one in (seen, sighting))
         return TwoImages.of(before, now, odometer.camera)
 
-    def by_map(motion: Increment) -> float:
-        cloud = mcl.moved(few, [motion], rng)
+    def fit_of(cloud: Particles) -> float:
         fit = state.inliers.log_mean(observation.by_rate(cloud, level, mcl.landmark_map))
         return float(log_sum(cloud.log_weight + fit) - log_sum(cloud.log_weight))
 
     state.wheels, motion = state.wheels.after(
-        np.array([log_fit, image.jump.log_fit]),
+        np.array([fit_of(thinned(weighed, FEW_TOLD)), image.jump.log_fit]),
         images,
-        by_map,
+        lambda motion: fit_of(mcl.moved(few, [motion], rng)),
         increment,
         covariance_of(mcl.motion, increment),
         odometer.parameters,
@@ -464,7 +464,7 @@ def _tells_height_with_poses(mcl: Mcl, state: FilterState, sighting: Sighting) -
     level, edges, landmarks = mcl.level, sighting.edges, mcl.landmark_map
     if level is None or mcl.edges is None or not state.height.is_unknown:
         return False
-    if not np.isfinite(edges.ends_px).any() or is_measured(level.camera, edges):
+    if not np.isfinite(edges.ends_px).all() or is_measured(level.camera, edges):
         return False
     is_new = not state.weighed or state.height.novelty >= COARSE_NOVELTY
     return is_new and bool(np.isfinite([landmarks.bottom_m, landmarks.top_m]).any())

@@ -34,15 +34,13 @@ FEW_JUDGED = 512  # particles that tell how well an image fits the place that th
 class Weighed:
     """Particles that an image has weighed, and what it says of their place.
 
-    particles: after the image. inliers: what is then known of the inlier rate. log_fit: their mean log-likelihood.
-    before: some particles that the image had not weighed yet. by_rate, shown_by_rate: (K, N) log p(edges | particle,
-    p_k) of these for every detection rate, where all landmarks in view may show, and where some are hidden; None with
-    an observation of one's own.
+    particles: after the image. inliers: what is then known of the inlier rate. before: some particles that the image
+    had not weighed yet. by_rate, shown_by_rate: (K, N) log p(edges | particle, p_k) of these for every detection rate,
+    where all landmarks in view may show, and where some are hidden; None with an observation of one's own.
     """
 
     particles: Particles
     inliers: InlierRate
-    log_fit: float
     before: Particles
     by_rate: Array | None = None
     shown_by_rate: Array | None = None
@@ -94,9 +92,7 @@ class Tempering:
                 if left <= 0:
                     break
             coarser_rad = blur_rad
-        weight = weighed.weight
-        inliers = self.inliers.given(by_rate, weight, self.novelty)
-        return Weighed(weighed, inliers, float(weight @ log_likelihood), *of_place)
+        return Weighed(weighed, self.inliers.given(by_rate, weighed.weight, self.novelty), *of_place)
 
     def _by_rate(self, moved: Particles, blur_rad: float = 0.0) -> Array:
         if isinstance(self.observation, EdgeObservation):

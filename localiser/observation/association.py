@@ -141,7 +141,7 @@ class Association:
 
             β_ek = w/K c_ek N(q_e; q_k, σ_ek²) / ((1 - w)/span + Σ_l w/K c_el N(q_e; q_l, σ_el²)),
 
-        where σ² has the variance of what the cloud predicts. A landmark is certain from `SETTLED` on.
+        where σ² has the variance by the pose, too. A landmark is certain from `SETTLED` on.
         """
         own, total = self._odds_at(inlier_rate)
         measured, measured_var = self.frame.measured
@@ -200,7 +200,8 @@ class Association:
         """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
 
         Of P ends inside the image: the measured minus the expected upright height (P,), and the derivative (P,) of the
-        expected one by the camera's height above the floor, 1/m. camera: at the height that is meant.
+        expected one by the camera's height above the floor, 1/m. None where some ends of the image are not known.
+        camera: at the height that is meant.
 
         A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
         that ∂e/∂h = -d / (d c - v s)², where h is the height of the camera, and c and s are of its tilt.

@@ -194,7 +194,7 @@ def after(
         shown = belief.landmarks.shown(len(search.landmark_map))
         views = [View(DETECTION_RATES, False, sighting.scene, visibility) for visibility in (None, shown)]
         by_rate = search.observation.by_views(few, sighting, search.landmark_map, views)
-        found = Weighed(few, InlierRate.unknown(), 0.0, few, *by_rate)
+        found = Weighed(few, InlierRate.unknown(), few, *by_rate)
     return belief.after(search, found, like, sighting, jump, still, np.random.default_rng(0))
 
 
