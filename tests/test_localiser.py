@@ -27,8 +27,8 @@ from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.live import LiveOptions, open_run
 from localiser.localiser import Localiser
-from localiser.motion import MotionModel
-from localiser.observation import EdgeObservation, Observation, PlaceLandmarks
+from localiser.motion import MotionModel, covariance_of
+from localiser.observation import EarlierFrame, EdgeObservation, Observation, PlaceLandmarks, persistent_clutter
 from localiser.particles import Particles
 from localiser.replay import replay_log
 from localiser.storage import Event, ImageEvent, Log, open_log, read_track, write_camera
@@ -150,7 +150,8 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     tilted = LOG.camera.with_mount(tilt_rad=LOG.camera.mount.tilt_rad + math.radians(1.0))
     config = read_config(None, ["edges.tilt_sigma_deg=2", "mcl.particles=500"])
     one = Localiser(LOG.landmark_map, tilted, config)
-    last = feed(one, first_events(8))[-1]
+    found = [(frame, seen) for event in first_events(8) for seen in [one.state.seen] for frame in feed(one, [event])]
+    (before, _), (last, seen) = found[-2:]
     as_weighed, as_measured = last.located.sighting.edges, last.located.edges
     assert np.abs(as_weighed.bearing - as_measured.bearing).max() > 1e-4
     assert isinstance(one.observation, EdgeObservation)
@@ -158,6 +159,13 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     expected = one.observation.associate(pose, last.located.sighting, LOG.landmark_map).matches()
     np.testing.assert_array_equal(last.matches.landmark, expected.landmark)
     np.testing.assert_array_equal(last.matches.residual, expected.residual)
+    # They are compared with those of the image before, which were corrected, too.
+    now, then = (one.observation.frame(frame.located.sighting.edges) for frame in (last, before))
+    since = last.located.increment
+    earlier = EarlierFrame.of(then, now, since, float(covariance_of(config.motion, since)[2, 2]))
+    persistent = persistent_clutter(now, earlier, seen.clutter)
+    np.testing.assert_array_equal(last.located.sighting.persistent, persistent)
+    assert persistent.max() > 2.0
 
 
 def test_an_image_after_silent_wheels_is_located_at_once() -> None:

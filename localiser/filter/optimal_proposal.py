@@ -11,7 +11,7 @@ that odometry alone predicts. The same computation gives ψ, how well the edges 
 Particles that differ much in ψ are resampled by it before they move: the auxiliary particle filter [Pitt, Shephard
 1999].
 
-Only edges with a certain landmark take part (`EdgeObservation.targets`). Where one of them or the linearisation is
+Only edges with a certain landmark take part (`Association.targets`). Where one of them or the linearisation is
 wrong, the weights correct it: they come from the full observation, and some of the steps are drawn from odometry alone.
 """
 

@@ -115,14 +115,14 @@ class Scene:
 
 
 def _log_carried(continuing: Array, usual: float) -> tuple[float, float, float]:
-    """Return log p(edges | carried) / p(edges | not carried), the latter, and how many continue the image before.
+    """Return log p(edges | carried) / p(edges | not carried), that of the latter, and the fraction that continue.
 
     continuing: (E,) how much likelier an edge is if it continues one. Each does with the fraction f, so that
     p(edges | f) = Π (1 - f + f · ratio). usual: mean of f of a robot that was not carried. At ½ and below, edges
     come and go so often that they tell nothing.
     """
-    log_fit = np.log1p(FRACTIONS * (continuing[:, None] - 1.0)).sum(axis=0)
-    carried, stayed = log_fit + _log_beta(np.array([[CARRIED], [max(usual, 0.5)]]))
+    by_fraction = np.log1p(FRACTIONS * (continuing[:, None] - 1.0)).sum(axis=0)
+    carried, stayed = by_fraction + _log_beta(np.array([[CARRIED], [max(usual, 0.5)]]))
     weight, log_fit = np.exp(stayed - stayed.max()), float(np.logaddexp.reduce(stayed))
     return float(np.logaddexp.reduce(carried)) - log_fit, log_fit, float(weight @ FRACTIONS / weight.sum())
 

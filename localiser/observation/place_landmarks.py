@@ -6,8 +6,8 @@ landmarks near the robot, r was measured on worn maps of the building and on map
 distributed as Beta(a, b), so after m scenes with and k without a match r is expected to be (a + m) / (a + b + m + k).
 
 Are the landmarks beside the robot there? One is expected in an image that has it in view within 3.5 m of the robot,
-unless a matched landmark within 30° of it is nearer by 0.15 m: that one may be on a wall. Each counts once, however
-many images show it:
+unless a matched landmark within 30° of it is nearer by 0.15 m: that one may be on a wall. All images of a
+landmark tell of one r, so more of them tell ever less:
 
     odds = Π_l p(m, k | a map of the building) / p(m, k | another one),    p(m, k | a, b) = B(a + m, b + k) / B(a, b)
 

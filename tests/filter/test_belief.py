@@ -179,7 +179,8 @@ def test_a_floor_that_nobody_mapped_is_as_likely_as_one_that_was_until_landmarks
     belief = Belief(0.9, 0.05, 0.0, 0.05, landmarks=found)
     assert belief.p_correct(CLOUD, np.zeros(3), is_tracked=True) == pytest.approx(0.6) and not belief.warning
     assert belief.reason(0.6, Sighting(0, measurement=np.zeros(1))) == "several places fit"
-    seen, missed = (replace(belief, landmarks=replace(one, maps=2)) for one in (MATCHED, MISSED))
+    nine = [PlaceLandmarks(np.arange(9), one.seen[:9], one.near[:9], maps=2) for one in (MATCHED, MISSED)]
+    seen, missed = (replace(belief, landmarks=one) for one in nine)
     assert seen.p_correct(CLOUD, np.zeros(3), is_tracked=True) > 0.89 and missed.warning
 
 

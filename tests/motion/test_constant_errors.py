@@ -196,6 +196,8 @@ def test_an_estimate_says_from_where_its_camera_sees() -> None:
         (*POSE, *CONSTANT_ERRORS), np.array([1.0, 2.0, 0.3, 0.01, 0.02, 0.03, 0.04, 0.05]), np.eye(8)
     )
     np.testing.assert_allclose(found.as_seen.pose, [1.0, 2.0, 0.35])
+    turned = np.eye(8) - 0.4 * (np.eye(8, k=5) + np.eye(8, k=-5))
+    np.testing.assert_allclose(replace(found, cov=turned).as_seen.cov, np.diag([1.0, 1.0, 1.0 + 1.0 - 2 * 0.4]))
     np.testing.assert_allclose(particles.Estimate(POSE, found.mean[:3], np.eye(3)).as_seen.pose, [1.0, 2.0, 0.3])
 
 

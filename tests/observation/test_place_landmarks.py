@@ -1,5 +1,7 @@
 """What landmarks of a place tell: near ones that are missed, hidden ones by Bayes' rule; and the inlier rate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import beta
@@ -13,11 +15,13 @@ from localiser.observation.place_landmarks import (
     FEWEST_EDGES,
     MATCHED,
     NEAR_SCENES,
+    SAME_WALLS,
     SEEN_SCENES,
     near_landmarks,
 )
 
 HERE = np.zeros(3)  # looks along -z
+SEEN = ([9.0, 0.0], [0.0, 9.0])  # scenes that matched a landmark, and that did not
 
 
 def matches(landmark: list[int], visible: list[bool], edges: int = FEWEST_EDGES) -> Matches:
@@ -66,23 +70,31 @@ def test_nothing_is_known_at_first_and_by_images_that_tell_nothing() -> None:
         assert known.log_odds == 0.0 and known.probability == 1.0
 
 
-def test_each_landmark_counts_once_however_often_it_is_seen() -> None:
-    """By the integral over how often it is matched."""
-    known = PlaceLandmarks()
-    for _ in range(4):
-        known = after(known, np.array([True, False]), 0.5)
-    kept = np.exp(-0.5 / NEAR_SCENES)
-    scenes, expected = 0.5 * (1 + kept + kept**2 + kept**3), 0.0
-    for sign, (a, b) in ((1, MATCHED), (-1, BY_CHANCE)):
-        expected += sign * np.log(
-            beta(a, b).expect(lambda r: r**scenes) * beta(a, b).expect(lambda r: (1 - r) ** scenes)
-        )
-    assert known.log_odds == pytest.approx(expected, rel=1e-6)
+def log_odds_of(matched: float, missed: float) -> float:
+    """By the integral over how often an edge matches a landmark, on a map of the building and on another one."""
+    here, another = (beta(*prior).expect(lambda r: r**matched * (1 - r) ** missed) for prior in (MATCHED, BY_CHANCE))
+    return float(np.log(here / another))
+
+
+def test_all_scenes_of_a_landmark_tell_of_one_share() -> None:
+    known, scenes = PlaceLandmarks(), 0.0
+    for novelty in (*[0.5] * 4, *[1.0] * 40):
+        known = after(known, np.array([True, False]), novelty)
+        scenes = np.exp(-novelty / NEAR_SCENES) * scenes + novelty
+        assert known.log_odds == pytest.approx(log_odds_of(scenes, 0) + log_odds_of(0, scenes), rel=1e-6)
+    mixed = PlaceLandmarks(np.arange(1), np.zeros((1, 2)), np.array([[3.0, 2.0]]))
+    assert mixed.log_odds == pytest.approx(log_odds_of(3.0, 2.0), rel=1e-6)
     missed = PlaceLandmarks(np.arange(20), np.zeros((20, 2)), np.tile([0.0, 50.0], (20, 1)))
-    assert missed.probability == pytest.approx((1 + ANOTHER) / (1 + ANOTHER * np.exp(-missed.log_odds)))
-    for _ in range(40):
-        known = after(known, np.array([True, False]))
-    assert abs(known.log_odds) < 2.0 < -missed.log_odds
+    odds = np.exp(20 * log_odds_of(0.0, 50.0))
+    assert missed.probability == pytest.approx((1 + ANOTHER) / (1 + ANOTHER / odds))
+
+
+def test_a_landmark_says_only_so_much_for_one_of_several_floors() -> None:
+    """Walls may be the same on each of them; a landmark that is missed speaks against all."""
+    matched, missed = (PlaceLandmarks(np.arange(3), np.zeros((3, 2)), np.tile(one, (3, 1)), maps=2) for one in SEEN)
+    assert matched.log_odds == pytest.approx(3 * SAME_WALLS)
+    assert replace(matched, maps=1).log_odds == pytest.approx(3 * log_odds_of(*SEEN[0]))
+    assert missed.log_odds == pytest.approx(3 * log_odds_of(*SEEN[1])) and missed.log_odds < 0.0
 
 
 def test_small_steps_tell_as_much_as_large_ones() -> None:
@@ -103,20 +115,20 @@ def test_what_was_seen_fades_on_the_way() -> None:
     for _ in range(150):  # 45 m
         known = known.after(gone, np.zeros((4, 2)), HERE, 1.0)
     np.testing.assert_allclose(known.near, np.exp(-150 / NEAR_SCENES) * scenes)
-    assert 0.2 < known.log_odds / fresh < 0.6
-    for _ in range(int(12 * NEAR_SCENES)):
+    assert 0.3 < known.log_odds / fresh < 0.33
+    for _ in range(int(10 * NEAR_SCENES)):
         known = known.after(gone, np.zeros((4, 2)), HERE, 1.0)
     assert not len(known.landmark) and known.log_odds == 0.0
 
 
 def test_how_often_maps_are_said_not_to_fit_by_chance() -> None:
-    """Drives past 60 landmarks, each matched as often as Beta has it; on the right map fewer than 1 in 230 by Ville."""
+    """Drives past 60 landmarks, each matched or not, or as often as Beta has it; fewer than 1 in 230 by Ville."""
     rng = np.random.default_rng(5)
 
-    def missing(a: float, b: float) -> bool:
+    def missing(a: float, b: float | None = None) -> bool:
         known = PlaceLandmarks()
         for _ in range(12):
-            chance = rng.beta(a, b, 5)
+            chance = (rng.random(5) < a).astype(float) if b is None else rng.beta(a, b, 5)
             points = np.array([at(2.0, bearing) for bearing in np.linspace(-25.0, 25.0, 60)])
             index = np.arange(len(known.landmark), len(known.landmark) + 5)
             visible = np.isin(np.arange(60), index)
@@ -127,8 +139,9 @@ def test_how_often_maps_are_said_not_to_fit_by_chance() -> None:
                 return True
         return False
 
-    assert sum(missing(*MATCHED) for _ in range(200)) <= 4  # 1 in 230, at 99 %
-    assert sum(missing(0.2, 1.8) for _ in range(50)) >= 40
+    for right in (MATCHED, (0.45,)):
+        assert sum(missing(*right) for _ in range(200)) <= 4  # 1 in 230, at 99 %
+    assert sum(missing(0.15) for _ in range(50)) >= 40
 
 
 RATIO = 30.0  # how much likelier an edge is under a landmark that fits than under clutter
@@ -222,6 +235,10 @@ def test_how_often_a_landmark_shows_is_learnt_by_the_rule_of_bayes() -> None:
     assert known.log_odds == 0.0
     again = known.after(*seen_as([0], [True] * 3), 0.0)
     np.testing.assert_array_equal(again.shown(3), known.shown(3))
+    for _ in range(3):
+        known = known.after(*seen_as([], [False] * 3), 1.0)
+    kept = np.exp(-3 / SEEN_SCENES)
+    np.testing.assert_allclose(known.shown(3), [a / (a + b + kept), usual, (a + kept) / (a + b + kept)])
     for _ in range(int(12 * SEEN_SCENES)):
         known = known.after(*seen_as([], [False] * 3), 1.0)
     assert not len(known.landmark)

@@ -245,7 +245,8 @@ IMPOSSIBLE = {
     "a lean too few": in_part("seen", lambda seen: {"edges": replace(seen.edges, lean=seen.edges.lean[1:])}),
     "a motion of two numbers": lambda state: last_image(state, mean=np.zeros(2)),
     "landmarks out of order": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO[::-1], SCENES, SCENES)}),
-    "a scene too few": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO, SCENES, SCENES[:1])}),
+    "a scene too few": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO, SCENES[:1], SCENES)}),
+    "a near scene too few": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO, SCENES, SCENES[:1])}),
 }
 
 
