@@ -104,13 +104,13 @@ class Association:
 
     @classmethod
     def of(cls, frame: Frame, sighting: Sighting, landmark_map: LandmarkMap, pose: Array, cov: Array) -> Association:
-        """Return how the edges of a sighting compare with what is seen from one pose (4,). cov: (3, 3) of it."""
+        """Return how the edges of a sighting compare with what is seen from one pose (3,). cov: (3, 3) of it."""
         from localiser.observation import likelihood_kernel as kernel
 
         by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map)
         offset, _, landmarks = inputs[:3]
         farthest_m, half_view_rad = frame.far.range_max_m, float(np.arctan(frame.sight[1][3]))
-        reach, low, per_unit = reach_of(landmark_map, farthest_m), pose[:3] - 0.5 * _CELL, np.full(3, 1.0 / _CELL)
+        reach, low, per_unit = reach_of(landmark_map, farthest_m), pose - 0.5 * _CELL, np.full(3, 1.0 / _CELL)
         in_view, view = entry(in_view_of_cells_loop), (half_view_rad, farthest_m, reach)
         _, near = in_view(_ONE_RUN, low, per_unit, _ONE_CELL, offset, landmarks, *view)
         seen, pairs = kernel.associate(pose, cov, near, inputs)

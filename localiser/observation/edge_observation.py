@@ -196,7 +196,7 @@ class EdgeObservation:
     ) -> Association:
         """Return how the edges compare with the landmarks that are seen from one robot pose (3,). cov: (3, 3) of it."""
         cov = np.zeros((3, 3)) if cov is None else cov
-        return Association.of(self.frame(sighting.edges), sighting, landmark_map, np.append(pose, 0.0), cov)
+        return Association.of(self.frame(sighting.edges), sighting, landmark_map, pose, cov)
 
     def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
         """Return two angles (rad), medians over landmarks and edges: the spread of predictions, the measured sigma.

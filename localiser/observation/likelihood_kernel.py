@@ -407,7 +407,7 @@ def log_products(
 
 @entry
 def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> tuple[Array, Array]:
-    """Return the landmarks that a pose (4,) sees, and the edges near them.
+    """Return the landmarks that a pose (3,) sees, and the edges near them.
 
     Rows (K, 6) of landmarks: index, expected angle (rad), how fast it changes as the landmark is moved aside (rad/m),
     its variances by the map and by the pose (rad²), probability that no wall is before it. Rows (P, 5) of pairs: row of
@@ -421,8 +421,8 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
     item: landmarks to look at. inputs: as for `log_products`.
     """
     offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = inputs
-    block, poses = np.ones((_SEEN + VIEWS, 2)), np.empty((2, 4))
-    poses[:] = pose
+    block, poses = np.ones((_SEEN + VIEWS, 2)), np.zeros((2, 4))
+    poses[:, :3] = pose
     seen, pairs = np.empty((len(item), 6)), np.empty((len(item) * len(edges), 5))
     shown, used, in_view, per_density = 0, 0, 0.0, span / np.sqrt(2 * np.pi)
     _place(poses, np.arange(2), 0, 2, 2, offset, block)
