@@ -345,11 +345,11 @@ def _contradicted(
         return None
     if not len(sighting.edges) or not len(seen.edges) or state.particles is None:
         return None
-    few, level = thinned(state.particles, FEW_TOLD), replace(image.sighting, persistent=None)
+    before, level = state.particles, replace(image.sighting, persistent=None)
 
     def images() -> TwoImages:
-        before, now = (one.edges.longest(MOST_FOLLOWED) for one in (seen, sighting))
-        return TwoImages.of(before, now, odometer.camera)
+        then, now = (one.edges.longest(MOST_FOLLOWED) for one in (seen, sighting))
+        return TwoImages.of(then, now, odometer.camera)
 
     def fit_of(cloud: Particles) -> float:
         fit = state.inliers.log_mean(observation.by_rate(cloud, level, mcl.landmark_map))
@@ -358,7 +358,7 @@ def _contradicted(
     state.wheels, motion = state.wheels.after(
         np.array([fit_of(thinned(weighed, FEW_TOLD)), image.jump.log_fit]),
         images,
-        lambda motion: fit_of(mcl.moved(few, [motion], rng)),
+        lambda motion: fit_of(mcl.moved(thinned(before, FEW_TOLD), [motion], rng)),
         increment,
         covariance_of(mcl.motion, increment),
         odometer.parameters,
@@ -407,8 +407,9 @@ def _located(
     cloud, estimate, clusters = belief.places(weighed)
     p_correct = belief.p_correct(cloud, estimate.pose, is_tracked=weighed is not None)
     if mcl.edges is not None:
-        cov = None if weighed is None else estimate.as_seen.cov
-        association = mcl.edges.associate(estimate.as_seen.pose, image.sighting, mcl.landmark_map, cov)
+        seen = estimate.as_seen
+        cov = None if weighed is None else seen.cov
+        association = mcl.edges.associate(seen.pose, image.sighting, mcl.landmark_map, cov)
     located = Located(
         t_ns=measured.t_ns,
         estimate=estimate,

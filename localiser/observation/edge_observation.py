@@ -203,8 +203,8 @@ class EdgeObservation:
 
         Both are of the angle that is compared. (0, inf) where nothing is expected or nothing is measured.
         """
-        estimate = particles.estimate
-        found = self.associate(estimate.as_seen.pose, sighting, landmark_map, estimate.as_seen.cov)
+        seen = particles.estimate.as_seen
+        found = self.associate(seen.pose, sighting, landmark_map, seen.cov)
         variance = found.frame.measured[1]
         if not len(found.landmark) or not np.isfinite(variance).any():
             return 0.0, np.inf
