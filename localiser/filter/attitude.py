@@ -1,19 +1,14 @@
 """The attitude: tilt and roll of the camera, estimated together with the pose by a Kalman filter of two states.
 
-An error of the mount moves all edges of an image together, and those of the next image in the same way. It must not be
-treated as an independent error of each edge: then it would be averaged away, although averaging does not reduce it. And
-an edge with a far too large error would fit several landmarks at once. But a vertical edge points at the nadir point,
-whatever the pose and the landmark. So the distances by which the edges of an image miss this point determine the mount
-[Taylor06], without knowing the pose. Edges are corrected by the estimated tilt and roll. The common error that remains
-has the uncertainty of this estimate.
+An error of the mount moves all edges of an image together, and those of the next image in the same way, so averaging
+does not reduce it. But a vertical edge points at the nadir point, whatever the pose and the landmark. So the distances
+by which the edges of an image miss this point determine the mount [Taylor06], without knowing the pose. Edges are
+corrected by the estimated tilt and roll. The common error that remains has the uncertainty of this estimate.
 
-Tilt and roll change slowly, because floors are uneven and a load shifts. They are modelled as an Ornstein-Uhlenbeck
-process that forgets over 100 m. Half a degree of stated uncertainty then allows 0.14° between places 4 m apart: 10 mm,
-which is what DIN 18202 allows a floor.
-
-A mount may be stated for each image. Without a sigma it was measured, and its edges are taken as they are, as those are
-that a map was made of. With a sigma of its own, as an inertial sensor tells it, its error is another in each image, and
-each image is levelled by its own edges alone.
+Tilt and roll change slowly, because floors are uneven and a load shifts: an Ornstein-Uhlenbeck process that forgets
+over 100 m. Half a degree of stated uncertainty then allows 0.14° between places 4 m apart: 10 mm, which is what DIN
+18202 allows a floor. A mount that is stated for an image without a sigma was measured, and its edges are taken as they
+are, as those are that a map was made of. With a sigma of its own, its error is another in each image.
 """
 
 from __future__ import annotations

@@ -1,18 +1,9 @@
-"""The belief: which of four hypotheses holds. Their probabilities add up to one.
-
-    P(h | edges) ∝ P(h) · mean over the particles of h of p(edges | pose, earlier images)^(ν/2)
+"""The belief: which of four hypotheses holds. Their probabilities add up to one (docs/belief.md has the model).
 
     tracked     the robot is among the particles that are followed
     unmapped    it is there, and what it sees is not on the map
     elsewhere   it is at another place of the map: among the candidates, or where nobody has looked yet
     off map     it is outside what is mapped, or this is the map of another building
-
-ν is the novelty of the scene (`filter.scene`). Likelihoods are stated relative to clutter alone, as earlier images
-predict it. Off the map there is nothing else, so the likelihood of this hypothesis is 1; in unmapped surroundings it is
-somewhat less (`BARE`). Of a place that nobody has looked at it is 1 too, until an image proposes poses there. Their
-evidence then moves a part of this probability to the candidates. An image tries only some poses, so a place that it
-proposed is not sure before the true one can hardly have been overlooked. A place that is proposed late has the
-probability that it would have if it had been a candidate all along (`relocalisation.History`).
 
 If clutter were predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image,
 whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed k times their
@@ -32,7 +23,7 @@ from localiser.filter.scene import Jump
 from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
-from localiser.observation import FEWEST_EDGES, DetectionRate, Matches, PlaceLandmarks, Sighting
+from localiser.observation import FEWEST_EDGES, DetectionRate, PlaceLandmarks, Sighting
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
 from localiser.relocalisation import PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
@@ -288,13 +279,6 @@ class Belief:
             unexplored = self.unexplored + away
             return replace(self, tracked=tracked, elsewhere=0.0, unexplored=unexplored, candidates=None)
         return replace(self, tracked=tracked, elsewhere=away, candidates=self.candidates.only(far))
-
-    def seen(self, matches: Matches, points: Array, pose: Array, novelty: float) -> Belief:
-        """Return the belief that knows which landmarks an image shows from the tracked place.
-
-        matches: of its edges. points: (L, 2) of all landmarks. pose: (3,) of the robot. novelty: of the scene, 0 … 1.
-        """
-        return replace(self, landmarks=self.landmarks.after(matches, points, pose, novelty))
 
     def _normalised(self) -> Belief:
         total = self.here + self.elsewhere + self.unexplored + self.off_map

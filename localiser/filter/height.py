@@ -1,23 +1,13 @@
-"""The height of the camera above the floor, learnt from where the edges of known landmarks end.
+"""The height of the camera above the floor, learnt from where the edges of known landmarks end (docs/filter.md).
 
-A camera that sits lower than is stated sees the floor nearer than it is: the feet of all landmarks are too low in the
-image, by more the nearer they are. So every end of an edge whose landmark is known tells by how much the stated height
-is off, δ:
+A camera that sits lower than is stated sees the feet of all landmarks too low in the image, by more the nearer they
+are. Ends that are hidden, a fraction that differs from room to room, are far from where they should be. So the error δ
+is not Gaussian, and its probability is kept on a grid. Half of the variance of an end is common to those of an image,
+what is left of an error of the tilt, and their number does not average it away.
 
-    p(ends | δ) = Σ_m Π_e [ m / height of the image + (1 - m) N(e; e_l(pose) + δ ∂e_l/∂h, σ²) ]
-
-where m is the fraction of edges that end before their landmarks do. It differs from room to room. Ends that are hidden
-are far from where they should be, so δ is not Gaussian. Its probability is kept on a grid.
-
-Half of σ² is common to the ends of an image, what is left of an error of the tilt, and their number does not average
-it away. Images count by how far the robot has moved between them. A height that was measured for each image, with a
-sigma or not, errs in each image in its own way and is taken as it is.
-
-That needs a pose, and the pose of an image seen from a wrong height is wrong too. So until the height is known, at a
-start in particular, height and pose are weighed together: the likelihood of the image's edges at each height, averaged
-over particles,
-
-    p(edges | δ) = Σ_i w_i p(edges | particle i, δ)
+That needs a pose, and the pose of an image seen from a wrong height is wrong too. So until the height is known, height
+and pose are weighed together. A height that was measured for each image errs in each image in its own way and is taken
+as it is.
 """
 
 from __future__ import annotations

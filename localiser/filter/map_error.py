@@ -1,14 +1,9 @@
-"""How far landmarks stand from where the map has them, learnt while driving.
+"""How far landmarks stand from where the map has them, learnt while driving (docs/filter.md).
 
-A map says how certain its landmarks are, or the configuration does. A plan may be off by centimetres all the same, and
-a map of exact positions by nothing. So all sigmas of the map are taken to be `scale` times as large as stated. The
-scale is learnt on a grid where the robot is sure to be, from the edges beside each landmark, p(edges | scale), with a
-prior of a factor of two. A map may be good in one part and poor in another, so now and then the scale changes to any
-other (a hidden Markov model).
-
-The error of a landmark is the same in every image that shows it. The larger it is beside what an image adds of its own,
-the farther the robot must drive before an image tells something new. So errors of edges are taken to repeat along a
-path that is longer by the factor `decorrelation`.
+All sigmas of the map are taken to be `scale` times as large as stated, which is learnt on a grid where the robot is
+sure to be. A map may be good in one part and poor in another, so now and then the scale changes to any other (a hidden
+Markov model). The error of a landmark is the same in every image that shows it, so errors of edges are taken to repeat
+along a path that is longer by the factor `decorrelation`.
 """
 
 from __future__ import annotations

@@ -212,14 +212,20 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     if found is not None and not is_near(found.particles.estimate.pose[None], located.estimate.pose).all():
         located = replace(located, took_over=True)
     # Learn: which edges are clutter, which landmarks are seen, how far do edges, the camera's height and the map err?
-    clutter = _clutter(state, weighed, located, association)
+    clutter = None
+    if association is not None and weighed is not None:
+        clutter = 1.0 - located.p_correct * (1.0 - association.clutter(state.inliers.mean))
     if weighed is not None and mcl.search is not None:
         pose, points = located.estimate.as_seen.pose, mcl.landmark_map.points
-        state.belief = state.belief.seen(located.matches, points, pose, image.jump.novelty)
+        landmarks = state.belief.landmarks.after(located.matches, points, pose, image.jump.novelty)
+        state.belief = replace(state.belief, landmarks=landmarks)
     state.height = _height(mcl, state, located, association, image)
     state.map_error = _map_error(mcl, state, located, association, image.novelty)
     # Resample: as many particles as the way needs, from those that explain the edges.
-    state.particles = _resampled(mcl, state, weighed, located.ess, rng)
+    state.particles, count = weighed, mcl.parameters.particles
+    is_uneven = located.ess < mcl.parameters.resample_below * len(located.particles)
+    if weighed is not None and (is_uneven or len(weighed) != count):
+        state.particles = particles.take(weighed, systematic_resample(weighed.weight, count, rng))
     seconds = (sighting.t_ns - state.at_ns) / 1e9
     state.wheels = state.wheels.located(None if weighed is None else located.estimate, seconds)
     state.at_ns, state.weighed, state.seen = sighting.t_ns, True, replace(sighting, clutter=clutter)
@@ -431,25 +437,6 @@ def _located(
         matches=Matches.none(0, len(mcl.landmark_map)) if association is None else association.matches(),
     )
     return located, association
-
-
-def _clutter(
-    state: FilterState, weighed: Particles | None, located: Located, association: Association | None
-) -> Array | None:
-    """Return how probably each edge (E,) is of nothing on the map; None where no place is tracked."""
-    if association is None or weighed is None:
-        return None
-    return 1.0 - located.p_correct * (1.0 - association.clutter(state.inliers.mean))
-
-
-def _resampled(
-    mcl: Mcl, state: FilterState, weighed: Particles | None, ess: float, rng: np.random.Generator
-) -> Particles | None:
-    """Return the particles that go on."""
-    count = mcl.parameters.particles
-    if weighed is not None and (ess < mcl.parameters.resample_below * len(weighed) or len(weighed) != count):
-        return particles.take(weighed, systematic_resample(weighed.weight, count, rng))
-    return weighed
 
 
 def _from_height(mcl: Mcl, state: FilterState, sighting: Sighting) -> Sighting:

@@ -1,15 +1,10 @@
-"""The optimal proposal: draw the steps of particles from odometry and edges together.
+"""The optimal proposal: draw the steps of particles from odometry and edges together [Doucet, Godsill, Andrieu 2000].
 
 Odometry is far less accurate than edges. Of the particles that are moved by odometry alone, one in a hundred or fewer
-explains the next image. Each resampling that follows loses information from earlier images. So a step is drawn from
-what odometry *and* edges say, and the weight of the particle is corrected by the ratio of both densities:
-
-    step ~ q(step | particle, edges),    weight · p(step | particle) / q(step | particle, edges)
-
-[Doucet, Godsill, Andrieu 2000]. q is the normal density that follows from p and from the edges, linearised at the pose
-that odometry alone predicts. The same computation gives ψ, how well the edges fit wherever the particle may go.
-Particles that differ much in ψ are resampled by it before they move: the auxiliary particle filter [Pitt, Shephard
-1999].
+explains the next image. Each resampling that follows loses information from earlier images. So a step is drawn from the
+normal density that follows from odometry and from the edges, linearised at the pose that odometry predicts. The same
+computation gives ψ, how well the edges fit wherever the particle may go: the auxiliary particle filter [Pitt, Shephard
+1999]. Equations: docs/filter.md.
 
 Only edges with a certain landmark take part (`Association.targets`). Where one of them or the linearisation is
 wrong, the weights correct it: they come from the full observation, and some of the steps are drawn from odometry alone.

@@ -1,17 +1,9 @@
 """Whether the wheels are right: they may stand still while the robot drives, slip, or be silent for a while.
 
-An image should fit the map from where the wheels say the robot is, and its edges should be where those of the last
-image were, moved by that motion. Where either is much worse than usual, another explanation is weighed beside it: the
-wheels are wrong, and the robot went on at its pace (an Ornstein-Uhlenbeck process of its speed), changed as the edges
-say. Bayes' rule compares both,
-
-    odds(wrong) = prior odds · (M(seen) / M(wheels))^0.6 · p(edges | pace) / p(edges | wheels)
-
-M: mean likelihood of the image over particles after a motion. The edges that continue may belong to a person who walks
-by, so one image alone says only so much.
-
-While the wheels may be wrong, particles move as the mixture of both motions says, each with its probability, and the
-map decides. The wheels are believed again when they predict better.
+Where an image fits the map or the image before much worse than usual, another explanation is weighed beside it: the
+wheels are wrong, and the robot went on at its pace, changed as the edges say (docs/motion.md). The edges that continue
+may belong to a person who walks by, so one image alone says only so much. While the wheels may be wrong, particles move
+as the mixture of both motions says, each with its probability, and the map decides.
 """
 
 from __future__ import annotations

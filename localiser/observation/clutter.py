@@ -1,37 +1,23 @@
-"""Clutter: what is on no map is expected where earlier images showed it, and beside its like.
+"""Clutter: what is on no map is expected where earlier images showed it, and beside its like (docs/observation.md).
 
-A mixture with uniform clutter treats every image of the same thing as new evidence. Something that is not on the map,
-and is seen a hundred times near the expected place of a landmark, would then be taken for that landmark with certainty.
-But an edge that continues an edge of an earlier image has a known place, also when it is clutter. Its bearing is then
-that of the earlier image, turned with the robot and shifted by the parallax of an unknown distance r, with 1/r uniform
-between 0 and 1/near:
-
-    b' = b + turn - across / r,   across = m_right cos b + m_back sin b.
-
-The bearing of a landmark must be likelier than this density, and not than a uniform one over the width of the image.
-How an edge moves while the robot passes still identifies the landmark. Seeing it once more does not.
+Something that is not on the map, and is seen a hundred times near the expected place of a landmark, would be taken for
+that landmark with certainty if each image were new evidence. But an edge that continues one of an earlier image has a
+known place, also when it is clutter: turned with the robot, and shifted by the parallax of an unknown distance r, with
+1/r uniform between 0 and 1/near. The bearing of a landmark must be likelier than this density. How an edge moves while
+the robot passes still identifies the landmark. Seeing it once more does not.
 
 **Persistent clutter**, which particles of one place are weighed by, is expected where the last image showed it, by the
-probability p that the edge was clutter there:
+probability that the edge was clutter there, over all poses which the particles then had. At the mean pose alone, an
+edge of a landmark that misses it by an error of the pose would be taken for clutter from then on, and could not correct
+the pose any more.
 
-    density = p · span · N(b; b', σ²) + 1 - p,    at least 1.
-
-p is that over all poses which the particles then had. At the mean pose alone, an edge of a landmark that misses it by
-an error of the pose would be taken for clutter from then on, and could not correct the pose any more.
-
-**Scene clutter**, which the belief compares places by, is a Poisson process with the intensity
+**Scene clutter**, which the belief compares all places by, is a Poisson process with the intensity
 
     λ(e) = s Σ_j K(e; j) + m Λ(e)
 
-j: the edges of the earlier image, of which a fraction s is seen again, and those of still earlier ones that it missed.
-K: edge j at the bearing b' above, and ending where j ended, shifted by the same parallax. m
-is the expected number of new edges. They stand in groups, as books on a shelf: Λ is a Dirichlet process of
-concentration 1 whose other draws are the other edges of the image, 3° wide and with ends in the same rows.
-
-There may always be a new edge, so m is at least 1. In an image of one or two edges this alone would expect nearly one
-more than there are, and every place would lose by it. So λ is scaled to the integral that it has without this least m.
-
-All hypotheses about where the robot is share this intensity. A place must predict the edges better.
+of edges j that are seen again and of m new ones. There may always be a new edge, so m is at least 1. In an image of one
+or two edges this alone would expect nearly one more than there are, and every place would lose by it. So λ is scaled to
+the integral that it has without this least m.
 """
 
 from __future__ import annotations

@@ -1,18 +1,4 @@
-"""The observation of vertical edges: log p(edges | particle) with unknown association.
-
-Each measured edge is a draw from a mixture. With probability w it belongs to one of the n landmarks that the camera can
-see from the pose, each as likely as the other. Else it is clutter, spread evenly over the field of view, and denser
-where the last image showed the same thing (`clutter`):
-
-    p(q_e | pose, w) = (1 - w) / span + (w / n) Σ_l c_el N(q_e; q_l(pose), σ_el²)
-
-q is the bearing of the line held through the nadir point (`line`), or the lean of the free line (`slope`, the paper's
-observation). σ_el² adds what the edge's measurement, the mount's common error and the landmark's position contribute.
-c_el compares where the edge ends with where the landmark does, and their polarities: the rim of a picture, high on a
-wall, is no door jamb.
-
-How many edges are clutter differs from place to place, so w is not a parameter. The likelihood is computed for every
-inlier rate of `inlier_rate`, which learns their distribution and integrates them out.
+"""The observation of vertical edges: log p(edges | particle) with unknown association (docs/observation.md).
 
 The sum over particles, landmarks and edges is one of compiled loops (`likelihood_kernel`). Several questions about the
 same particles, views, are answered by one call. Four things make it fast, and none of them changes the result by more

@@ -2,12 +2,7 @@
 
 Edges are compared by an angle. `line` compares bearings; `slope` compares leans, as the founding paper does, whose
 tangent is that of the bearing times the sine of the tilt [Taylor06, eq. 7]. Leans are never divided by that sine, so
-nothing is infinite straight ahead.
-
-They are compared by their ends too, and clutter ends somewhere as well. It often stands side by side: bricks, books,
-bars of a railing. Where other edges end, one more end is likely. So the density 1 / R_e of clutter's ends is that of a
-Dirichlet process with concentration 1 whose other draws are the ends of the other edges: R_e is large where an end
-stands alone and small where other edges of the image end.
+nothing is infinite straight ahead. They are compared by their ends too (docs/observation.md).
 """
 
 from __future__ import annotations

@@ -1,25 +1,14 @@
-"""The landmarks of the tracked place: which are hidden, and whether those beside the robot are there.
+"""The landmarks of the tracked place: which are hidden, and whether those beside the robot are there (docs/belief.md).
 
-The map has no walls, so it cannot tell which landmarks are hidden. But an edge matches a landmark in a part r of the
-scenes that have it in view, near 0 for one that is hidden and near 1 for one that shows, and every scene tells of r. Of
-landmarks near the robot, r was measured on worn maps of the building and on maps of another one. In both it is
-distributed as Beta(a, b), so after m scenes with and k without a match r is expected to be (a + m) / (a + b + m + k).
+The map has no walls, so it cannot tell which landmarks are hidden. But an edge matches a landmark in a part of the
+scenes that have it in view, near 0 for one that is hidden and near 1 for one that shows. Of landmarks near the robot,
+this part was measured on worn maps of the building and on maps of another one. In both it is beta distributed.
 
-Are the landmarks beside the robot there? One is expected in an image that has it in view within 3.5 m of the robot,
-unless a matched landmark within 30° of it is nearer by 0.15 m: that one may be on a wall. All images of a
-landmark tell of one r, so more of them tell ever less:
-
-    odds = Π_l p(m, k | a map of the building) / p(m, k | another one),    p(m, k | a, b) = B(a + m, b + k) / B(a, b)
-
-The likelihood does not tell this. It compares edges with the clutter that earlier images predict, and takes each image
-for new evidence, though in a building of the same kind, as on another floor, edges that match by chance keep matching.
-
-What was seen of a landmark fades by a factor of e within 8 scenes, as elsewhere another one may hide it; what was seen
-beside the robot, which tells of the map, within 60. On a map of the building a place that is tracked is hardly ever
-wrong, so odds against one still count when another one is tracked in its stead, and fade as scenes do.
-
-Of a building of which n floors are mapped there may be one more, whose walls are those of the others. A place that was
-found on one of n maps has odds of n to it, until landmarks beside the robot tell, each with log-odds of 0.6 at most.
+Only landmarks within 3.5 m are tested, and none behind a matched one within 30° that is nearer by 0.15 m: that one may
+be on a wall. The likelihood does not tell what this does. It compares edges with the clutter that earlier images
+predict, and takes each image for new evidence, though in a building of the same kind edges that match by chance keep
+matching. On a map of the building a place that is tracked is hardly ever wrong, so odds against one still count when
+another one is tracked in its stead, and fade as scenes do.
 """
 
 from __future__ import annotations

@@ -1,21 +1,14 @@
-"""Candidates: weighted poses at all places, beside the one that is tracked, where the robot may be.
+"""Candidates: weighted poses at all places, beside the one that is tracked, where the robot may be (docs/belief.md).
 
-They are particles that many places share. Each has its own distribution of the detection rate, learnt from the images
-that it has been weighed by: landmarks of another place may be seen more or less often.
+They are particles that many places share. Each has its own distribution of the detection rate. Images weigh places
+against each other by less than they tell of a pose, because the clutter of earlier images explains most edges as well.
+Within one cell of floor and heading, particles share its weight by the likelihood that the filter itself weighs
+particles by. So those of a place lie as close to the edges as if it were tracked.
 
-Images weigh places against each other by less than they tell of a pose, because the clutter of earlier images explains
-most edges as well. Within one cell of floor and heading, particles share its weight by the likelihood that the filter
-itself weighs particles by. So those of a place lie as close to the edges as if it were tracked.
-
-A place is often proposed long after the robot could have been there. Until then it was a part of what is unexplored,
-and the images since count for it as they do for a candidate that was followed all along (`History`):
-
-    P(pose) = Σ_k entered_k Π p(edges_j | pose_j)^(power ν_j)   over the images j ≥ k
-
-entered_k is the probability that came with image k to where nobody has looked: at first all of it, later that of a
-robot that was carried, or that comes onto the map. Odometry tells where the robot was at image j, if it is at a pose
-now. One image is kept for each scene. It counts for those since the one before, and the last image for those since it.
-What entered before the images that are kept counts as what is unexplored does: it falls by what images look at.
+A place that is proposed late has the probability that it would have as a candidate all along (`History`). Odometry
+tells where the robot was at an earlier image, if it is at a pose now. One image is kept for each scene. It counts for
+those since the one before, and the last image for those since it. What entered before the images that are kept counts
+as what is unexplored does: it falls by what images look at.
 
 Two things are not exact. A pose has one path, drawn from the noise of odometry, so a place that is as good as followed
 ones may be found only by a later image. And as a place has the largest probability that any image gave it (`beyond`),
