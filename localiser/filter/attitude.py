@@ -1,9 +1,10 @@
 """The attitude: tilt and roll of the camera, estimated together with the pose by a Kalman filter of two states.
 
 An error of the mount moves all edges of an image together, and those of the next image in the same way, so averaging
-does not reduce it. But a vertical edge points at the nadir point, whatever the pose and the landmark. So the distances
-by which the edges of an image miss this point determine the mount [Taylor06], without knowing the pose. Edges are
-corrected by the estimated tilt and roll. The common error that remains has the uncertainty of this estimate.
+does not reduce it. As an error of each edge it would let an edge fit several landmarks. But a vertical edge points at
+the nadir point, whatever the pose and the landmark. So the distances by which the edges of an image miss this point
+determine the mount [Taylor06], without knowing the pose. Edges are corrected by the estimated tilt and roll. The common
+error that remains has the uncertainty of this estimate.
 
 Tilt and roll change slowly, because floors are uneven and a load shifts: an Ornstein-Uhlenbeck process that forgets
 over 100 m. Half a degree of stated uncertainty then allows 0.14° between places 4 m apart: 10 mm, which is what DIN

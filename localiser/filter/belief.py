@@ -1,13 +1,14 @@
-"""The belief: which of four hypotheses holds. Their probabilities add up to one (docs/belief.md has the model).
+"""The belief: which of five hypotheses holds. Their probabilities add up to one (docs/belief.md has the model).
 
     tracked     the robot is among the particles that are followed
     unmapped    it is there, and what it sees is not on the map
-    elsewhere   it is at another place of the map: among the candidates, or where nobody has looked yet
+    elsewhere   it is at another place of the map, among the candidates
+    unexplored  it is at a place of the map where nobody has looked yet
     off map     it is outside what is mapped, or this is the map of another building
 
-If clutter were predicted exactly, a place on a wrong map would have an expected likelihood of 1 in every image,
-whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed k times their
-first value, except with a probability of at most 1 / k.
+If clutter were predicted exactly, a place on a wrong map would have an expected likelihood, relative to clutter, of 1
+in every image, whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed
+k times their first value, except with a probability of at most 1 / k.
 """
 
 from __future__ import annotations

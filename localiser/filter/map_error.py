@@ -1,9 +1,10 @@
 """How far landmarks stand from where the map has them, learnt while driving (docs/filter.md).
 
-All sigmas of the map are taken to be `scale` times as large as stated, which is learnt on a grid where the robot is
-sure to be. A map may be good in one part and poor in another, so now and then the scale changes to any other (a hidden
-Markov model). The error of a landmark is the same in every image that shows it, so errors of edges are taken to repeat
-along a path that is longer by the factor `decorrelation`.
+A plan may be off by centimetres, a map that was surveyed by nothing. So all sigmas of the map are taken to be `scale`
+times as large as stated, which is learnt on a grid where the robot is sure to be. A map may be good in one part and
+poor in another, so now and then the scale changes to any other (a hidden Markov model). The error of a landmark is the
+same in every image that shows it, so errors of edges are taken to repeat along a path that is longer by the factor
+`decorrelation`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ SCALES: Array = 2.0 ** np.arange(-1.0, 4.5, 0.5)  # of sigmas of 6 mm: 3 mm to 0
 SCALE_CHANGES = 0.003  # the rate, for each independent image, at which what comes into view was mapped in another way
 REPEATED = 0.5  # what an image counts for: half of its landmarks were seen before, with the same errors
 LONGEST = 4.0  # times the usual path: by then other landmarks are in view
-_PRIOR: Array = np.exp(-0.5 * np.log2(SCALES) ** 2)
+_PRIOR: Array = np.exp(-0.5 * np.log2(SCALES) ** 2)  # a factor of two, 1 sigma
 _PRIOR /= _PRIOR.sum()
 
 

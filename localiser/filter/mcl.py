@@ -221,7 +221,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         state.belief = replace(state.belief, landmarks=landmarks)
     state.height = _height(mcl, state, located, association, image)
     state.map_error = _map_error(mcl, state, located, association, image.novelty)
-    # Resample: as many particles as the way needs, from those that explain the edges.
+    # Resample: where weights are uneven, or the number of particles is not the usual one.
     state.particles, count = weighed, mcl.parameters.particles
     is_uneven = located.ess < mcl.parameters.resample_below * len(located.particles)
     if weighed is not None and (is_uneven or len(weighed) != count):

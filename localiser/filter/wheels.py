@@ -3,7 +3,8 @@
 Where an image fits the map or the image before much worse than usual, another explanation is weighed beside it: the
 wheels are wrong, and the robot went on at its pace, changed as the edges say (docs/motion.md). The edges that continue
 may belong to a person who walks by, so one image alone says only so much. While the wheels may be wrong, particles move
-as the mixture of both motions says, each with its probability, and the map decides.
+as the mixture of both motions says, each with its probability, and the map decides. The wheels are believed again when
+they predict better.
 """
 
 from __future__ import annotations
@@ -75,10 +76,11 @@ class Wheels:
         likelihood of the image over particles after a motion. increment, cov: what the wheels say, and its covariance
         (3, 3). seconds: since the last image.
 
-        Edges alone cannot bring wheels in doubt in one image, and after another motion it hardly fits the map better
-        than is usual. So it must fit the map worse than that by as much as doubt takes.
+        Other motions are compared where the image fits the map, or the image before, much worse than recent ones
+        (`UNUSUAL`). The map must also fit worse by so much that, with all that edges may say, one image can bring
+        wheels that were right in doubt. Otherwise the motion counts as that of the wheels, and the pace follows it.
         """
-        doubt = _log_odds(DOUBTED) - _log_odds(parameters.slip_share) + np.log(ASTRAY)
+        doubt = max(_log_odds(DOUBTED) - _log_odds(parameters.slip_share) + float(np.log(ASTRAY)), 0.0)
         least = np.minimum(UNUSUAL * self.usual, self.usual - [doubt / MAP_POWER, 0.0])
         fits = (fit >= least).all()
         usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * fit

@@ -1,7 +1,7 @@
 """The association: which landmark each edge of an image shows, seen from one pose, and all that follows from it.
 
 Every pair of an edge and a landmark that are near each other is a row of one table, by the model of
-`edge_observation`. The optimal proposal takes the rows that are certain, the display the likeliest row of each edge.
+docs/observation.md. The optimal proposal takes the rows that are certain, the display the likeliest row of each edge.
 How far the map errs and how high the camera sits are told by the same rows.
 """
 

@@ -15,9 +15,11 @@ the pose any more.
 
     λ(e) = s Σ_j K(e; j) + m Λ(e)
 
-of edges j that are seen again and of m new ones. There may always be a new edge, so m is at least 1. In an image of one
-or two edges this alone would expect nearly one more than there are, and every place would lose by it. So λ is scaled to
-the integral that it has without this least m.
+K: edge j where it is expected now, both ends shifted by the same parallax. s: `SEEN_AGAIN`. m: expected number of new
+edges. They stand in groups, as books on a shelf: Λ is a Dirichlet process of concentration 1 whose other draws are the
+other edges. There may always be a new edge, so m is at least 1. In an image of one or two edges this alone would expect
+nearly one more than there are, and every place would lose by it. So λ is scaled to the integral that it has without
+this least m.
 """
 
 from __future__ import annotations

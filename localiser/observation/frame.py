@@ -30,7 +30,7 @@ EdgeTable = tuple[Array, Indices, EdgeBins, float]
 SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
 TOLERANCE_PX = 6.0  # how far an edge may stick out
 MISSED = 0.5  # how often an edge ends before its landmark does: hidden, faint or cut in two
-ROW_PX = 10.0  # how far from each other the ends of such clutter are
+ROW_PX = 10.0  # how far from each other the ends of clutter that stands in a row are
 UNKNOWN = 1e9  # beyond every height
 # An edge of a landmark has its polarity with probability 0.9, and clutter has both alike. So p(polarity | landmark) / ½
 # is 1 + MEAN_POLARITY · polarity_e · polarity_l, and 1 where either is unknown (0). See docs/notes/observation.md.

@@ -5,10 +5,10 @@ scenes that have it in view, near 0 for one that is hidden and near 1 for one th
 this part was measured on worn maps of the building and on maps of another one. In both it is beta distributed.
 
 Only landmarks within 3.5 m are tested, and none behind a matched one within 30° that is nearer by 0.15 m: that one may
-be on a wall. The likelihood does not tell what this does. It compares edges with the clutter that earlier images
-predict, and takes each image for new evidence, though in a building of the same kind edges that match by chance keep
-matching. On a map of the building a place that is tracked is hardly ever wrong, so odds against one still count when
-another one is tracked in its stead, and fade as scenes do.
+be on a wall. The likelihood cannot tell this. It compares edges with the clutter that earlier images predict, and takes
+each image for new evidence, though in a building of the same kind edges that match by chance keep matching. On a map of
+the building a place that is tracked is hardly ever wrong, so odds against one still count when another one is tracked
+in its stead, and fade as scenes do.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ NEAR_M = 3.5
 BEFORE_M, BESIDE_RAD = 0.15, np.radians(30.0)  # a landmark that is nearer than another and beside it
 FEWEST_EDGES = 5  # of an image that tells: fewer may all be of anything
 MATCHED, BY_CHANCE = (0.57, 0.78), (0.41, 1.37)  # a, b: on a map of the building, and on another one
-SEEN_SCENES, NEAR_SCENES = 8.0, 60.0  # within which scenes fade by a factor of e
+# Within which scenes fade by a factor of e: elsewhere something else hides a landmark; those nearby tell of the map.
+SEEN_SCENES, NEAR_SCENES = 8.0, 60.0
 SAME_WALLS = 0.6  # log-odds, at most, of a landmark for one of several floors, whose walls may be the same
 ANOTHER = 0.01  # odds that a map which is believed is of another building
 UNLIKELY = 0.3  # below this probability the map is said not to fit
@@ -65,7 +66,7 @@ class PlaceLandmarks:
     def probability(self) -> float:
         """The probability that the map which is believed is that of the place, not of another building or floor.
 
-        Of one map it is 1 where nothing speaks against it.
+        Of one map it is 1 where nothing speaks against it. Of n floors there may be one more, with the same walls.
         """
         if self.maps > 1:
             return float(1.0 / (1.0 + np.exp(-self.log_odds) / self.maps))

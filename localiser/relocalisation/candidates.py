@@ -146,8 +146,8 @@ class History:
     """Images of the last scenes, oldest first, and what happened since the last of them.
 
     entered: (K + 1,) probability that came to where nobody has looked, between one of the K images and the one before,
-    and since the last. limits: of what a place may gain since then. overlooked: part of what was unexplored that still
-    is. new: scenes.
+    and since the last: at first all of it, later that of a robot that was carried, or that comes onto the map. limits:
+    of what a place may gain since then. overlooked: part of what was unexplored that still is. new: scenes.
     """
 
     images: tuple[PastImage, ...] = ()
@@ -192,7 +192,7 @@ class History:
         motion: MotionModel,
         rng: np.random.Generator,
     ) -> Candidates:
-        """Return proposed poses with the probabilities above. sighting: the last image.
+        """Return proposed poses with the probabilities of docs/belief.md, step 5. sighting: the last image.
 
         Their weights are the density of the region over that of the draws, divided by how many were drawn. evidence:
         see `GlobalLocalisation.evidence`.

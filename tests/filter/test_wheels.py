@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from short_log import corridor_with_edges
 from two_views import CAMERA, edges_from
 
 from localiser import Localiser
-from localiser.camera import Camera, Mount
 from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
@@ -81,19 +81,15 @@ def test_wheels_that_err_for_three_seconds(fault: str) -> None:
 def test_odometry_is_silent_where_poses_are_more_than_a_second_apart() -> None:
     second = 10**9
     odometry = deque(Odometry(t_ns, np.zeros(3)) for t_ns in (0, second, 4 * second, 5 * second))
-    assert not is_silent(odometry, 0, second)
-    assert is_silent(odometry, second, 2 * second)
-    assert is_silent(odometry, 2 * second, 3 * second)
-    assert is_silent(odometry, 3 * second, 5 * second)
-    assert not is_silent(odometry, 4 * second, 6 * second)
+    for begin, end, silent in ((0, 1, False), (1, 2, True), (2, 3, True), (3, 5, True), (4, 6, False)):
+        assert is_silent(odometry, begin * second, end * second) == silent
     assert not is_silent(deque(), 0, second)
 
 
 def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     """Wheels that count double move the estimate a little at first; that must not become the expected pace."""
     parameters, pace = VisualOdometryParameters(), Gaussian(np.array([0.0, -0.4, 0.0]), 1e-4 * np.eye(3))
-    camera = Camera(640, 480, 554.0, 554.0, 319.5, 239.5, Mount(np.radians(20), 0.9))
-    nothing = TwoImages.of(Edges.none(), Edges.none(), camera)
+    nothing = TwoImages.of(Edges.none(), Edges.none(), CAMERA)
     known = Wheels(usual=np.array([10.0, 0.0]), pose=np.zeros(3), pace=pace)
     double = Increment.from_mean(np.array([0.0, -0.16, 0.0]))
 
@@ -102,6 +98,18 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     assert other is None
     told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
     np.testing.assert_allclose(told.pace.mean, parameters.expected(pace, 0.2).mean / 0.2)
+
+
+def test_other_motions_are_compared_where_an_image_fits_far_worse_than_usual() -> None:
+    """The map must fit worse by log(999 / 19 / 20) / 0.6 = 1.61: with less, one image cannot bring wheels in doubt."""
+    still, nothing = Increment.from_mean(np.zeros(3)), TwoImages.of(Edges.none(), Edges.none(), CAMERA)
+    pairs = ([10.0, 10.0], [7.0, 4.0]), ([2.0, 10.0], [0.39, 4.0]), ([-1.0, -2.0], [-2.61, -2.0])
+    for (usual, least), off in product(pairs, ((0.01, 0.01), (-0.01, 0.01), (0.01, -0.01))):
+        wheels = Wheels(usual=np.array(usual), pose=np.zeros(3), pace=Gaussian(np.zeros(3), 1e-4 * np.eye(3)))
+        asked: list[Increment] = []
+        by_map, fit = lambda motion, asked=asked: float(asked.append(motion) is None), np.add(least, off)
+        wheels.after(fit, lambda: nothing, by_map, still, 1e-4 * np.eye(3), VisualOdometryParameters(), 0.2)
+        assert bool(asked) == (min(off) < 0)
 
 
 def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
