@@ -81,8 +81,11 @@ def test_every_output_is_there_and_can_be_read(localiser: Localiser, log: Path, 
 
     figures, timing = metrics_of(run), json.loads((run / "timing.json").read_text())
     assert set(figures) >= METRICS
-    found = [figures[key] for key in ("log", "observation", "seed", "particles", "frames")]
-    assert found == ["corridor", "line", 0, 2000, FRAMES] and figures["complete"] is True
+    assert (figures["log"], figures["observation"], figures["seed"], figures["particles"]) == (
+        "corridor", "line", 0, 2000,
+    )  # fmt: skip
+    assert figures["frames"] == FRAMES
+    assert figures["complete"] is True
     assert not TIMES & set(figures), "they differ from run to run"
     assert set(timing) == TIMES
     assert evaluate_run(run) == figures | timing
