@@ -222,10 +222,10 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     state.height = _height(mcl, state, located, association, image)
     state.map_error = _map_error(mcl, state, located, association, image.novelty)
     # Resample: where weights are uneven, or the number of particles is not the usual one.
-    state.particles, count = weighed, mcl.parameters.particles
-    is_uneven = located.ess < mcl.parameters.resample_below * len(located.particles)
-    if weighed is not None and (is_uneven or len(weighed) != count):
-        state.particles = particles.take(weighed, systematic_resample(weighed.weight, count, rng))
+    count, below = mcl.parameters.particles, mcl.parameters.resample_below
+    if weighed is not None and (located.ess < below * len(weighed) or len(weighed) != count):
+        weighed = particles.take(weighed, systematic_resample(weighed.weight, count, rng))
+    state.particles = weighed
     seconds = (sighting.t_ns - state.at_ns) / 1e9
     state.wheels = state.wheels.located(None if weighed is None else located.estimate, seconds)
     state.at_ns, state.weighed, state.seen = sighting.t_ns, True, replace(sighting, clutter=clutter)
