@@ -241,12 +241,7 @@ class Efficiency:
 
 
 def efficiency(
-    error_m: Array,
-    bound_m: Array,
-    rng: np.random.Generator,
-    *,
-    probability: float = 0.95,
-    resamples: int = 4000,
+    error_m: Array, bound_m: Array, rng: np.random.Generator, *, probability: float = 0.95, resamples: int = 4000
 ) -> Efficiency:
     """Return √(mean of squared error) / √(mean of squared bound) over S seeds and T frames.
 

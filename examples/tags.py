@@ -5,16 +5,7 @@ Run it in the project's folder: `python examples/tags.py`.
 
 import numpy as np
 
-from localiser import (
-    LandmarkMap,
-    Localiser,
-    Particles,
-    Sighting,
-    compose,
-    read_config,
-    robot_from_map,
-    wrap_angle,
-)
+from localiser import LandmarkMap, Localiser, Particles, Sighting, compose, read_config, robot_from_map, wrap_angle
 
 SIGMA = np.array([0.05, np.radians(1.0)])  # errors of a range (m) and of a bearing (rad)
 FARTHEST_M = 6.0

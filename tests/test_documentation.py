@@ -211,10 +211,7 @@ def code_of(page: str) -> str:
     return "\n".join(block.text for block in blocks(ROOT / page) if block.language == "python")
 
 
-PAGES_OF_CODE = {
-    **SEAMS,
-    "docs/api.md": code_of("docs/api.md"),
-}
+PAGES_OF_CODE = {**SEAMS, "docs/api.md": code_of("docs/api.md")}
 SLOW = ("motion model", "sink", "docs/api.md")  # along the whole of a log
 
 

@@ -11,12 +11,7 @@ from localiser.edges import Edges
 from paper.equations import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
 from paper.motions import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
 from paper.reproduce import Reproduction, reproduce
-from paper.results import (
-    METHODS,
-    Method,
-    drive_errors,
-    turn_errors,
-)
+from paper.results import METHODS, Method, drive_errors, turn_errors
 from paper.room import SIZES
 from paper.sheet import Sheet
 

@@ -147,10 +147,7 @@ def test_the_logarithm_of_a_sum_neither_overflows_nor_vanishes(top):
     assert log_sum(np.full(3, -np.inf)) == -np.inf
 
 
-SCHEMES = [
-    systematic_resample,
-    multinomial_resample,
-]
+SCHEMES = [systematic_resample, multinomial_resample]
 ALMOST_ONE = np.nextafter(1.0, 0.0)
 weights = st.lists(st.floats(0, 1), min_size=1, max_size=60).map(np.array).filter(lambda w: w.sum() > 1e-3)
 schemes = pytest.mark.parametrize("resample", SCHEMES, ids=lambda scheme: scheme.__name__)

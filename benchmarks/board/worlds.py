@@ -241,12 +241,7 @@ def hidden_behind(eye: Array, points: Array, walls: Array, bodies: Array) -> NDA
 
 
 def _measured(
-    rows: Array,
-    frame: NDArray[np.int64],
-    camera: Camera,
-    truth: Trajectory,
-    noise: EdgeNoise,
-    rng: np.random.Generator,
+    rows: Array, frame: NDArray[np.int64], camera: Camera, truth: Trajectory, noise: EdgeNoise, rng: np.random.Generator
 ) -> list[Edges]:
     """Return the edges of some images. rows: (S, 5) x, z, bottom, top, landmark of what each shows, frame: (S,)."""
     parts, landmark, shown = [], [], []

@@ -22,12 +22,7 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array, Trajectory, between
 from localiser.motion import MotionParameters
-from localiser.visual_odometry import (
-    Gaussian,
-    TwoImages,
-    VisualOdometryParameters,
-    follow,
-)
+from localiser.visual_odometry import Gaussian, TwoImages, VisualOdometryParameters, follow
 
 REACH_S = 1.0
 """Offsets up to this are looked for."""

@@ -14,14 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from localiser.errors import InputError
 from localiser.filter import LEAST_SURE, SURE
-from localiser.geometry import (
-    Array,
-    Trajectory,
-    between,
-    bridged,
-    compose,
-    wrap_angle,
-)
+from localiser.geometry import Array, Trajectory, between, bridged, compose, wrap_angle
 from localiser.observation import Matches
 
 # -- consistency ------------------------------------------------------------------------------------------------------

@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from localiser.documents import drafted
-from localiser.evaluate.accuracy import (
-    Errors,
-    Track,
-    consistency,
-    consistency_band,
-    dead_reckoning,
-    errors_against,
-)
+from localiser.evaluate.accuracy import Errors, Track, consistency, consistency_band, dead_reckoning, errors_against
 from localiser.evaluate.metrics import PAUSE_LONGER_THAN_S, find_pauses
 from localiser.filter import SURE
 from localiser.geometry import Array, Trajectory, forward

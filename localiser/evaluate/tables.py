@@ -202,10 +202,7 @@ ERRORS = (
 )
 NOTES = {"resid.\nχ²": "resid. χ²: 1 is right, below: cautious", "NEES": "NEES: 3 is right, below: cautious"}
 """What stands below a table with these columns."""
-TABLES = {
-    "What the run knows of itself": OWN,
-    "Errors against the truth": ERRORS,
-}
+TABLES = {"What the run knows of itself": OWN, "Errors against the truth": ERRORS}
 COLUMNS = (*OWN, *ERRORS)
 NAMES = ("log", *ABOUT)
 IN_TITLE = tuple(name for name in NAMES if name != "inputs")  # a fingerprint says something only where it differs

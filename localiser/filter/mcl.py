@@ -20,13 +20,7 @@ from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief, Move
 from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_near, is_silent, moves_between
-from localiser.filter.height import (
-    COARSE_NOVELTY,
-    LEAST_NOVELTY,
-    Height,
-    is_measured,
-    seen_from_offset,
-)
+from localiser.filter.height import COARSE_NOVELTY, LEAST_NOVELTY, Height, is_measured, seen_from_offset
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene

@@ -105,11 +105,7 @@ def _factor(block: Array) -> None:
 
 @entry
 def linearised(
-    steps: Array,
-    targets: Array,
-    offset: tuple[float, float, float, float],
-    sin_tilt: float,
-    is_slope: bool,
+    steps: Array, targets: Array, offset: tuple[float, float, float, float], sin_tilt: float, is_slope: bool
 ) -> Array:
     """Return (10, N) of particles: the root L of A = I + Σ g gᵀ/σ², y = L⁻¹ Σ g r/σ², and (|y|² - Σ r²/σ²) / 2.
 

@@ -64,11 +64,7 @@ def require_sharp(path: Path, sightings: Sightings) -> None:
 
 
 def require_landmarks(
-    log: RecordedLog,
-    landmark_map: LandmarkMap,
-    sightings: Sightings,
-    built: Built,
-    parameters: MappingParameters,
+    log: RecordedLog, landmark_map: LandmarkMap, sightings: Sightings, built: Built, parameters: MappingParameters
 ) -> None:
     """Raise InputError unless there are landmarks, and they explain more of the edges than chance might."""
     explained = 0.0 if landmark_map.quality is None else float(landmark_map.quality.sightings.sum()) / len(sightings)

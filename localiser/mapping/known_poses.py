@@ -22,12 +22,7 @@ from localiser.mapping.tracks import MappingParameters, assign, association_scor
 
 
 def reassociate(
-    sightings: Sightings,
-    built: Built,
-    cameras: Array,
-    sigma: Array,
-    parameters: MappingParameters,
-    margin: float = 0.0,
+    sightings: Sightings, built: Built, cameras: Array, sigma: Array, parameters: MappingParameters, margin: float = 0.0
 ) -> Index:
     """Return the landmark (S,) of each sighting, -1 for none; see `Sightings`. cameras: (T, 3). sigma: (S,) rad.
     margin: see `assign`.

@@ -20,17 +20,7 @@ from localiser.camera import Camera
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
-from localiser.geometry import (
-    Array,
-    Increment,
-    Trajectory,
-    Twist,
-    between,
-    bridged,
-    compose,
-    read_kept,
-    write_kept,
-)
+from localiser.geometry import Array, Increment, Trajectory, Twist, between, bridged, compose, read_kept, write_kept
 from localiser.landmarks import LandmarkMap
 from localiser.mapping.factors import Wheels
 from localiser.motion import MotionParameters
@@ -178,10 +168,7 @@ _KEPT_LOGS = 50
 
 
 def edges_of_log(
-    log: RecordedLog,
-    parameters: EdgeParameters,
-    progress: Callable[[], None] = lambda: None,
-    cache: Path | None = None,
+    log: RecordedLog, parameters: EdgeParameters, progress: Callable[[], None] = lambda: None, cache: Path | None = None
 ) -> list[Edges]:
     """Return the edges of every frame of a log. Raises InputError for a bad image.
 

@@ -82,12 +82,7 @@ class Slam:
 
 
 def build_from_log(
-    sightings: Sightings,
-    wheels: Wheels,
-    prior: Prior,
-    first_pose: Array,
-    camera: Camera,
-    parameters: MappingParameters,
+    sightings: Sightings, wheels: Wheels, prior: Prior, first_pose: Array, camera: Camera, parameters: MappingParameters
 ) -> Slam:
     """Return poses and landmarks of T frames from their edges and the wheels' motion between them.
 

@@ -18,13 +18,7 @@ from localiser.camera import Camera
 from localiser.geometry import Array
 from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, image_heights, in_camera, in_view_of_cells_loop, kept_with, reach_of
-from localiser.observation.frame import (
-    GATE_SIGMAS,
-    TOLERANCE_PX,
-    UNKNOWN,
-    Frame,
-    Indices,
-)
+from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame, Indices
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.sighting import Matches, Sighting, Targets
 from localiser.particles import CAMERA_YAW, Particles

@@ -94,14 +94,7 @@ def _arctan(u: float) -> float:
 
 @inlined
 def _look(
-    block: Array,
-    lanes: int,
-    landmark: Any,
-    limits: Any,
-    view: Any,
-    gate: Any,
-    bins: Any,
-    is_slope: bool,
+    block: Array, lanes: int, landmark: Any, limits: Any, view: Any, gate: Any, bins: Any, is_slope: bool
 ) -> None:
     """Write how a block of cameras sees one landmark: the expected angle, its variance, ends, bins of edges near it.
 

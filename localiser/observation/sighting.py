@@ -134,8 +134,7 @@ class ObservationParameters:
         Field(description="whether to believe what edges of a log say of which landmark they belong to"),
     ] = "unknown"
     threads: Annotated[
-        int,
-        Field(ge=1, le=64, description="threads; with 2, a replay finds edges ahead; results do not depend on it"),
+        int, Field(ge=1, le=64, description="threads; with 2, a replay finds edges ahead; results do not depend on it")
     ] = 1
     sight: SightParameters = field(default_factory=SightParameters)
 

@@ -76,11 +76,7 @@ def _checked(recorded: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def _judged(
-    track: Track,
-    truth: Path | str | Trajectory,
-    log: str,
-    align: str | None,
-    about: Mapping[str, Any] | None = None,
+    track: Track, truth: Path | str | Trajectory, log: str, align: str | None, about: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     poses = truth if isinstance(truth, Trajectory) else storage.read_poses(Path(truth))
     poses = poses if align is None else aligned(track, poses, align)

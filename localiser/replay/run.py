@@ -24,15 +24,7 @@ from localiser.motion import MotionModel
 from localiser.observation import Observation
 from localiser.replay.figures import STAGES, Results
 from localiser.replay.frames import in_order
-from localiser.storage import (
-    ImageEvent,
-    Log,
-    camera_error,
-    checkpoint_of,
-    open_log,
-    read_maps,
-    require_odometry,
-)
+from localiser.storage import ImageEvent, Log, camera_error, checkpoint_of, open_log, read_maps, require_odometry
 
 LIT_EVERY = 5  # images, of which one is looked at for its light
 

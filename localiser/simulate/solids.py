@@ -142,10 +142,7 @@ def _door(line: _Line, door: Door, opening: tuple[float, float], top: float) -> 
     depth = line.wall.thickness_m / 2 + door.frame_out_m
     if door.frame_m > 0:
         lining = 0.02
-        jambs = (
-            (opening[0] - door.frame_m, opening[0] + lining),
-            (opening[1] - lining, opening[1] + door.frame_m),
-        )
+        jambs = ((opening[0] - door.frame_m, opening[0] + lining), (opening[1] - lining, opening[1] + door.frame_m))
         head = min(door.height_m + door.frame_m, top)
         for jamb in jambs:
             yield _Prism(line.footprint(jamb, (-depth, depth)), 0.0, head, door.frame_material)

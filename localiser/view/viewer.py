@@ -68,12 +68,7 @@ class LiveView:
     """
 
     def __init__(
-        self,
-        kind: Kind,
-        context: Context,
-        *,
-        command: Sequence[str] | None = None,
-        queue_frames: int = QUEUE_FRAMES,
+        self, kind: Kind, context: Context, *, command: Sequence[str] | None = None, queue_frames: int = QUEUE_FRAMES
     ) -> None:
         self.address: str | None = None
         if command is None:

@@ -56,10 +56,7 @@ def test_same_run_same_bytes_of_the_promised_size(tmp_path: Path) -> None:
     assert b"Software" not in (tmp_path / "a.png").read_bytes()[:400]
 
 
-@pytest.mark.parametrize(
-    ("source", "named"),
-    [(None, "odometry alone"), ("wheel", "odometry alone (wheels)")],
-)
+@pytest.mark.parametrize(("source", "named"), [(None, "odometry alone"), ("wheel", "odometry alone (wheels)")])
 def test_it_says_whose_odometry_it_is_and_no_title_covers_a_legend(source: str | None, named: str) -> None:
     given = run()
     given["figures"] |= {"odometry": source}

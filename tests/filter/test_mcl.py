@@ -122,9 +122,7 @@ def test_odometry_resampled_along_its_arcs_changes_nothing() -> None:
         run(
             mcl,
             in_time(
-                [Start(0, START_POSE, PRIOR)],
-                odometry(circle(np.arange(0, 3 * SECOND, step_ns))),
-                images(IMAGE_TIMES),
+                [Start(0, START_POSE, PRIOR)], odometry(circle(np.arange(0, 3 * SECOND, step_ns))), images(IMAGE_TIMES)
             ),
         )
         for step_ns in (50_000_000, 25_000_000)

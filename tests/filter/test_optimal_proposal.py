@@ -13,13 +13,7 @@ from localiser.filter.optimal_proposal import OptimalProposal, flattened, step_d
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
 from localiser.motion import MotionParameters
-from localiser.observation import (
-    EdgeObservation,
-    Frame,
-    ObservationParameters,
-    Sighting,
-    Targets,
-)
+from localiser.observation import EdgeObservation, Frame, ObservationParameters, Sighting, Targets
 from localiser.particles import effective_sample_size, from_gaussian, normalised, take
 
 MOUNT = Mount(tilt_rad=np.radians(20), height_m=1.0, right_m=0.05, back_m=-0.1, yaw_rad=0.02)

@@ -184,10 +184,7 @@ def test_names_that_are_none_are_refused(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("options", "told"),
-    [
-        ({"connect": ["nonsense"]}, "endpoints such as"),
-        ({"namespace": "robot one"}, "live.namespace"),
-    ],
+    [({"connect": ["nonsense"]}, "endpoints such as"), ({"namespace": "robot one"}, "live.namespace")],
 )
 def test_options_that_are_none_are_refused(options: dict[str, Any], told: str) -> None:
     with pytest.raises(InputError, match=told):

@@ -13,15 +13,7 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import map_from_robot, robot_from_map, wrap_angle
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import (
-    agreeing,
-    align,
-    duplicates,
-    fuse_maps,
-    join_maps,
-    matches,
-    merge_duplicates,
-)
+from localiser.mapping import agreeing, align, duplicates, fuse_maps, join_maps, matches, merge_duplicates
 from localiser.mapping.landmarks import fit_landmarks
 from localiser.mapping.quality import is_placed
 from localiser.mapping.sightings import Sightings, direction_of

@@ -225,11 +225,7 @@ def test_wheels_of_a_real_robot_are_learnt_and_it_is_located_within_its_sigmas(d
     assert log.landmark_map is not None
     rng = np.random.default_rng(0)
     filter_ = mcl.Mcl(
-        log.landmark_map,
-        EdgeObservation(log.camera, config.observation),
-        config.mcl,
-        config.motion,
-        config.observation,
+        log.landmark_map, EdgeObservation(log.camera, config.observation), config.mcl, config.motion, config.observation
     )
     state = mcl.FilterState()
     found = [one for event in log.events(start_of(log, "truth", rng)) for one in mcl.step(filter_, state, event, rng)]

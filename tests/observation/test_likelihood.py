@@ -42,12 +42,7 @@ def some_edges(rng: np.random.Generator, count: int, ends: bool) -> Edges:
     ends_px = np.stack([rng.uniform(0, 639, (count, 2)), rng.uniform([240, 20], [470, 220], (count, 2))], axis=-1)
     polarity = rng.integers(-1, 2, count).astype(np.int8)
     return Edges.from_columns(
-        bearing,
-        sigma,
-        lean,
-        sigma * 3,
-        ends_px=ends_px if ends else None,
-        polarity=polarity if ends else None,
+        bearing, sigma, lean, sigma * 3, ends_px=ends_px if ends else None, polarity=polarity if ends else None
     )
 
 

@@ -67,12 +67,7 @@ def test_an_edge_where_none_was_and_without_neighbours_is_rare() -> None:
     assert found[-1] == pytest.approx(NEW / 10, rel=1e-3) and (found[:-1] > 5.0).all()
 
 
-@given(
-    st.lists(st.floats(-0.5, 0.5), max_size=8),
-    st.floats(-0.3, 0.3),
-    st.floats(-0.3, 0.3),
-    st.floats(-0.5, 0.5),
-)
+@given(st.lists(st.floats(-0.5, 0.5), max_size=8), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.5, 0.5))
 @settings(max_examples=25)  # of 401 bearings each
 def test_the_density_integrates_to_the_expected_number_of_edges(before, right, back, turn):
     """Over all bearings, also beyond the image: those seen again, beside the new ones, of one edge.

@@ -161,12 +161,7 @@ Viewer.PointSize:2
 
 @pytest.mark.parametrize(
     ("program", "text"),
-    [
-        ("OpenCV", OPENCV),
-        ("Kalibr", KALIBR),
-        ("ORB-SLAM", ORB.format("Camera")),
-        ("ORB-SLAM", ORB.format("Camera1")),
-    ],
+    [("OpenCV", OPENCV), ("Kalibr", KALIBR), ("ORB-SLAM", ORB.format("Camera")), ("ORB-SLAM", ORB.format("Camera1"))],
 )
 def test_camera_files_of_other_programs(tmp_path: Path, program: str, text: str) -> None:
     path = tmp_path / "c.yaml"

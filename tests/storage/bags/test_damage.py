@@ -170,11 +170,7 @@ def test_a_truncated_mcap_is_read_up_to_where_it_ends(tmp_path: Path, squeeze: s
 
 @pytest.mark.parametrize(
     ("content", "found"),
-    [
-        (b"", "an empty file"),
-        (b"version https://", "a pointer of Git LFS"),
-        (b"#ROSBAG V1.2", "an older version"),
-    ],
+    [(b"", "an empty file"), (b"version https://", "a pointer of Git LFS"), (b"#ROSBAG V1.2", "an older version")],
 )
 def test_what_is_no_bag_is_named(tmp_path: Path, content: bytes, found: str) -> None:
     (tmp_path / "x.mcap").write_bytes(content)
