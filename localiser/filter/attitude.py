@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from localiser import geometry
-from localiser.camera import Camera, Mount
+from localiser.camera import Camera
 from localiser.edges import Edges, mount_error_of_edges
 from localiser.geometry import Array
 from localiser.observation import at_border
@@ -110,7 +110,8 @@ class Level:
         if edges.common.names[: len(MOUNT)] != MOUNT or not np.isfinite(edges.ends_px).all():
             return edges, attitude
         stated_cov, camera = _of_attitude(edges.common.cov), self.camera.at(edges.mount)
-        if measured_for_image(camera.mount):
+        sigma = camera.mount.sigma  # of what was measured for this image: its error tells nothing of the next one's
+        if sigma is not None and not (sigma.tilt_rad is None and sigma.roll_rad is None):
             attitude, novelty = None, 1.0
         elif (camera.mount.tilt_rad, camera.mount.roll_rad) != (self.camera.mount.tilt_rad, self.camera.mount.roll_rad):
             return edges, attitude
@@ -118,11 +119,6 @@ class Level:
         ends = camera.image_from_pixels(edges.ends_px)  # to undo a lens's distortion takes long
         now = before.given(edges, ends, camera, self.plumb_sigma_rad, novelty)
         return now.levelled(edges, ends, camera), now
-
-
-def measured_for_image(mount: Mount) -> bool:
-    """Return whether tilt or roll were measured for one image, with a sigma: their errors tell nothing of the next."""
-    return mount.sigma is not None and not (mount.sigma.tilt_rad is None and mount.sigma.roll_rad is None)
 
 
 def _of_attitude(cov: Array) -> Array:

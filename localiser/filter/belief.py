@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from localiser import particles
-from localiser.filter.events import SURE, MapWarning, Reason, is_near, near_weight
+from localiser.filter.events import SURE, MapWarning, Reason, is_near
 from localiser.filter.scene import Jump
 from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
@@ -359,7 +359,8 @@ class Belief:
         """Return the probability that the estimate `pose` (3,) from these particles is within 0.5 m and 10°."""
         here = self.here if is_tracked else self.elsewhere
         probability = here * (self.landmarks.probability if is_tracked or self.landmarks.maps > 1 else 1.0)
-        return self._looked_at * probability * near_weight(cloud, pose)
+        near = float(min(cloud.weight[is_near(cloud.poses, pose)].sum(), 1.0))
+        return self._looked_at * probability * near
 
     @property
     def _looked_at(self) -> float:

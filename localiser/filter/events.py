@@ -114,11 +114,6 @@ def is_silent(odometry: deque[Odometry], start_ns: int, t_ns: int) -> bool:
 # -- results ----------------------------------------------------------------------------------------------------------
 
 
-def near_weight(particles: Particles, pose: Array) -> float:
-    """Return the weight, 0 … 1, of the particles within 0.5 m and 10° of `pose` (3,)."""
-    return float(min(particles.weight[is_near(particles.columns[:3].T, pose)].sum(), 1.0))
-
-
 def is_near(poses: Array, pose: Array) -> NDArray[np.bool_]:
     """Return which of the poses (N, 3) are within 0.5 m and 10° of `pose` (3,)."""
     near = np.hypot(poses[:, 0] - pose[0], poses[:, 1] - pose[1]) < CORRECT_M

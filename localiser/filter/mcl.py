@@ -158,7 +158,8 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
             state.odometry.append(event)
         case Sighting():
             state.waiting.append(event)
-    while state.waiting and _wheels_reach(mcl, state, state.waiting[0].t_ns):
+    by_vision = mcl.odometer is not None and mcl.odometer.parameters.source == "vision"
+    while state.waiting and (by_vision or (state.odometry and state.odometry[-1].t_ns >= state.waiting[0].t_ns)):
         yield locate(mcl, state, state.waiting.popleft(), rng)
 
 
@@ -490,9 +491,3 @@ def _map_error(
         return state.map_error
     found = state.map_error.seen(novelty)
     return found if found.novelty < LEAST_NOVELTY else found.after(association.by_map_scale(SCALES))
-
-
-def _wheels_reach(mcl: Mcl, state: FilterState, t_ns: int) -> bool:
-    if mcl.odometer is not None and mcl.odometer.parameters.source == "vision":
-        return True
-    return bool(state.odometry) and state.odometry[-1].t_ns >= t_ns

@@ -35,10 +35,6 @@ class SeenImage:
     sighting: Sighting
     moved: Increment
 
-    def scenes_until(self, now: Increment) -> float:
-        """Return how many scenes the robot has moved since; now: how it has moved from where the scene began."""
-        return float((now.path_m - self.moved.path_m) / SCENE_M + (now.turned_rad - self.moved.turned_rad) / SCENE_RAD)
-
 
 @dataclass(frozen=True, slots=True)
 class Jump:
@@ -80,7 +76,8 @@ class Scene:
         increment: the motion since the last image.
         """
         now, usual, jump = self.moved.then(increment), self.usual, Jump(1.0)
-        away = [one.scenes_until(now) for one in self.images]
+        ways = [(now.path_m - one.moved.path_m, now.turned_rad - one.moved.turned_rad) for one in self.images]
+        away = [path_m / SCENE_M + turned_rad / SCENE_RAD for path_m, turned_rad in ways]  # scenes
         back = sum(scenes >= 1.0 for scenes in away)  # how many are a scene back
         first = max(back - WITH_OLDER, 0)
         images, away = self.images[first:], away[first:]
@@ -119,13 +116,9 @@ def _log_carried(continuing: Array, usual: float) -> tuple[float, float, float]:
     come and go so often that they tell nothing.
     """
     by_fraction = np.log1p(FRACTIONS * (continuing[:, None] - 1.0)).sum(axis=0)
-    carried, stayed = by_fraction + _log_beta(np.array([[CARRIED], [max(usual, 0.5)]]))
+    mean = np.array([[CARRIED], [max(usual, 0.5)]])  # of f; its beta densities but for a constant that both share
+    density = (CONCENTRATION * mean - 1.0) * np.log(FRACTIONS)
+    density += (CONCENTRATION * (1.0 - mean) - 1.0) * np.log1p(-FRACTIONS)
+    carried, stayed = by_fraction + (density - np.logaddexp.reduce(density, axis=1, keepdims=True))
     weight, log_fit = np.exp(stayed - stayed.max()), float(np.logaddexp.reduce(stayed))
     return float(np.logaddexp.reduce(carried)) - log_fit, log_fit, float(weight @ FRACTIONS / weight.sum())
-
-
-def _log_beta(mean: Array) -> Array:
-    """Return the logarithms (H, K) of beta densities of mean (H, 1) at `FRACTIONS`, up to a constant that all share."""
-    a, b = CONCENTRATION * mean, CONCENTRATION * (1.0 - mean)
-    density = (a - 1.0) * np.log(FRACTIONS) + (b - 1.0) * np.log1p(-FRACTIONS)
-    return np.asarray(density - np.logaddexp.reduce(density, axis=1, keepdims=True))
