@@ -28,9 +28,8 @@ from localiser.observation import FEWEST_EDGES, DetectionRate, PlaceLandmarks, S
 from localiser.particles import Clusters, Estimate, Particles, find_clusters
 from localiser.relocalisation import PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
-LEFT, RETURNED = 1e-3, 1e-2  # between scenes: from mapped to unmapped surroundings, and back
-ENTERED = 1e-3  # from off the map onto it
-LOST = 0.01  # in unmapped surroundings, the place
+LEFT = 1e-3  # between scenes: from mapped to unmapped surroundings, or from off the map onto it
+RETURNED = 1e-2  # in unmapped surroundings: to mapped ones, or the place is lost
 MISTAKEN = 1e-5  # between scenes: from tracked to off the map, because parts of another building may look the same
 BARE = 0.1  # how much rarer scenes without any landmark are on the map than off it
 MOST_CARRIED = 0.9  # an image may also be blurred, or a turn missed
@@ -211,7 +210,7 @@ class Belief:
         may cease to be mapped. Any other place may be left for where nothing is mapped, from where it may be entered.
         """
         left, returned = novelty * LEFT * self.tracked, novelty * RETURNED * self.unmapped
-        lost, entered = novelty * LOST * self.unmapped, novelty * ENTERED * self.off_map
+        lost, entered = novelty * RETURNED * self.unmapped, novelty * LEFT * self.off_map
         tracked, unmapped = self.tracked - left + returned, self.unmapped + left - returned - lost
         elsewhere, stays = (1.0 - novelty * LEFT) * self.elsewhere, 1.0 - carried
         mistaken = novelty * MISTAKEN * tracked
