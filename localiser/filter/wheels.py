@@ -28,8 +28,8 @@ from localiser.visual_odometry import (
 
 MAP_POWER = 0.6  # of the likelihood by the map: edges of an image err together
 STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
-UNUSUAL = 0.7
-FIT_MEMORY = 0.9  # part of what is usual that an image leaves
+UNUSUAL = np.array([0.7, 0.4])  # part of what is usual below which other motions are compared: map, image before
+FIT_MEMORY = 0.5  # part of what is usual that an image leaves
 MOST_FOLLOWED = 48  # that are followed: the work grows with the square of their number
 MOST_TOLD = 4.0  # log-ratio of one image by the map
 DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
@@ -75,8 +75,15 @@ class Wheels:
         images: returns the last one and this, by their longest edges. by_map: returns the logarithm of the mean
         likelihood of the image over particles after a motion. increment, cov: what the wheels say, and its covariance
         (3, 3). seconds: since the last image.
+
+        Other motions are compared where the image fits the map, or the image before, much worse than recent ones
+        (`UNUSUAL`). The map must also fit worse by so much that, with all that edges may say, one image can bring
+        wheels that were right in doubt. Otherwise the motion counts as that of the wheels, and the pace follows it.
         """
-        fits = (fit >= UNUSUAL * self.usual).all()
+        prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
+        doubt = max(_log_odds(DOUBTED) - _log_odds(prior) + float(np.log(ASTRAY)), 0.0)
+        least = np.minimum(UNUSUAL * self.usual, self.usual - [doubt / MAP_POWER, 0.0])
+        fits = (fit >= least).all()
         usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * fit
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
             return replace(self, wrong=0.0, usual=usual, fit=True), None
@@ -85,8 +92,7 @@ class Wheels:
         seen = with_scale(follow(images(), [(expected, 0.0)]), walks=False)
         log_ratio = min(MAP_POWER * (by_map(increment_of(seen)) - by_map(increment)), MOST_TOLD)
         log_ratio += contradicts(wheels_say, seen, expected)
-        prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
-        log_odds = float(np.clip(np.log(prior / (1.0 - prior)) + log_ratio, -50.0, 50.0))
+        log_odds = float(np.clip(_log_odds(prior) + log_ratio, -50.0, 50.0))
         wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < SUSPECT)
         if wheels.wrong > DOUBTED:
             both = mixture([Gaussian(increment.mean, cov), seen], np.array([1.0 - wheels.wrong, wheels.wrong]))
@@ -104,6 +110,11 @@ class Wheels:
             return replace(self, pose=estimate.pose)
         pace = between(self.pose, estimate.pose) / seconds
         return replace(self, pose=estimate.pose, pace=Gaussian(pace, estimate.pose_cov / seconds**2))
+
+
+def _log_odds(probability: float) -> float:
+    """Return log(p / (1 - p))."""
+    return float(np.log(probability) - np.log1p(-probability))
 
 
 def contradicts(wheels: Gaussian, seen: Gaussian, expected: Gaussian) -> float:

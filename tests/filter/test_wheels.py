@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,18 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     assert other is None
     told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
     np.testing.assert_allclose(told.pace.mean, parameters.expected(pace, 0.2).mean / 0.2)
+
+
+def test_other_motions_are_compared_where_an_image_fits_far_worse_than_usual() -> None:
+    """The map must fit worse by log(999 / 19 / 20) / 0.6 = 1.61: with less, one image cannot bring wheels in doubt."""
+    still, nothing = Increment.from_mean(np.zeros(3)), TwoImages.of(Edges.none(), Edges.none(), CAMERA)
+    pairs = ([10.0, 10.0], [7.0, 4.0]), ([2.0, 10.0], [0.39, 4.0]), ([-1.0, -2.0], [-2.61, -2.0])
+    for (usual, least), off in product(pairs, ((0.01, 0.01), (-0.01, 0.01), (0.01, -0.01))):
+        wheels = Wheels(usual=np.array(usual), pose=np.zeros(3), pace=Gaussian(np.zeros(3), 1e-4 * np.eye(3)))
+        asked: list[Increment] = []
+        by_map, fit = lambda motion, asked=asked: float(asked.append(motion) is None), np.add(least, off)
+        wheels.after(fit, lambda: nothing, by_map, still, 1e-4 * np.eye(3), VisualOdometryParameters(), 0.2)
+        assert bool(asked) == (min(off) < 0)
 
 
 def test_one_motion_seen_says_only_so_much_against_the_wheels() -> None:
