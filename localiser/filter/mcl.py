@@ -192,7 +192,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         # Predict: every particle moves by its own draw of the motion, at best where the edges say.
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
         found = _weighed(mcl, state, state.particles, image, rng)
-        # Do edges and map contradict the wheels? Then the robot moved as the edges say.
+        # Do edges and map contradict the wheels? Then the robot may have moved as the edges say.
         motion = _contradicted(mcl, state, sighting, found.particles, image, rng)
         if motion is not None:
             drive = replace(drive, moves=[motion], increment=motion)

@@ -1,10 +1,10 @@
-"""Whether the wheels are right: they may stand still while the robot drives, slip, or be silent for a while.
+"""Whether the wheels are right: they may stand still while the robot drives, or slip.
 
 Where an image fits the map or the image before much worse than usual, another explanation is weighed beside it: the
 wheels are wrong, and the robot went on at its pace, changed as the edges say (docs/motion.md). The edges that continue
 may belong to a person who walks by, so one image alone says only so much. While the wheels may be wrong, particles move
-as the mixture of both motions says, each with its probability, and the map decides. The wheels are believed again when
-they predict better.
+by a Gaussian with mean and covariance of both motions, each with its probability, and the map decides. The wheels are
+believed again when they predict better.
 """
 
 from __future__ import annotations
@@ -69,20 +69,21 @@ class Wheels:
         parameters: VisualOdometryParameters,
         seconds: float,
     ) -> tuple[Wheels, Increment | None]:
-        """Return what is known after an image, and how the robot moved if the wheels are wrong.
+        """Return what is known after an image, and how the robot moved by both if the wheels may be wrong, else None.
 
         fit: (2,) log-likelihood of the image after the motion of the wheels: by the map, and by the image before.
         images: returns the last one and this, by their longest edges. by_map: returns the logarithm of the mean
         likelihood of the image over particles after a motion. increment, cov: what the wheels say, and its covariance
         (3, 3). seconds: since the last image.
 
-        Other motions are compared where the image fits the map, or the image before, much worse than recent ones
-        (`UNUSUAL`). The map must also fit worse by so much that, with all that edges may say, one image can bring
-        wheels that were right in doubt. Otherwise the motion counts as that of the wheels, and the pace follows it.
+        Other motions are compared while wheels may be wrong, and where the image fits the map, or the image before,
+        much worse than recent ones (`UNUSUAL`). The map must also fit worse by so much that, with all that edges may
+        say, one image can bring wheels that were right in doubt. Otherwise the motion counts as that of the wheels, and
+        the pace follows it.
         """
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
-        doubt = max(_log_odds(DOUBTED) - _log_odds(prior) + float(np.log(ASTRAY)), 0.0)
-        least = np.minimum(UNUSUAL * self.usual, self.usual - [doubt / MAP_POWER, 0.0])
+        needed = max(_log_odds(DOUBTED) - _log_odds(prior) + float(np.log(ASTRAY)), 0.0)
+        least = np.minimum(UNUSUAL * self.usual, self.usual - [needed / MAP_POWER, 0.0])
         fits = (fit >= least).all()
         usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * fit
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
@@ -97,16 +98,16 @@ class Wheels:
         if wheels.wrong > DOUBTED:
             both = mixture([Gaussian(increment.mean, cov), seen], np.array([1.0 - wheels.wrong, wheels.wrong]))
             return wheels, increment_of(both)
-        if wheels.fit:
-            return replace(wheels, usual=usual), None
-        pace = Gaussian(expected.mean / seconds, expected.cov / seconds**2)
+        pace = Gaussian(
+            expected.mean / seconds, expected.cov / seconds**2
+        )  # where the image fits, it is the estimate's
         return replace(wheels, usual=usual, pace=pace), None
 
     def located(self, estimate: Estimate | None, seconds: float) -> Wheels:
         """Return what is known once the robot has been located, `seconds` after the last image; None: it was not."""
-        if estimate is None or self.pose is None or seconds <= 0:
+        if estimate is None or self.pose is None:
             return replace(self, pose=None if estimate is None else estimate.pose, pace=None)
-        if not (self.fit or self.are_wrong):
+        if seconds <= 0 or not (self.fit or self.are_wrong):
             return replace(self, pose=estimate.pose)
         pace = between(self.pose, estimate.pose) / seconds
         return replace(self, pose=estimate.pose, pace=Gaussian(pace, estimate.pose_cov / seconds**2))

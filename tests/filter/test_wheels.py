@@ -98,6 +98,8 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     assert other is None
     told = told.located(Estimate(POSE, np.array([0.0, -0.16, 0.0]), 1e-4 * np.eye(3)), 0.2)
     np.testing.assert_allclose(told.pace.mean, parameters.expected(pace, 0.2).mean / 0.2)
+    again = told.located(Estimate(POSE, np.array([0.0, -0.17, 0.0]), 1e-4 * np.eye(3)), 0.0)
+    assert again.pace is told.pace  # of two images at one time the second tells no speed
 
 
 def test_other_motions_are_compared_where_an_image_fits_far_worse_than_usual() -> None:
