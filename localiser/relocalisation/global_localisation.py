@@ -47,7 +47,7 @@ class SearchParameters:
     ] = 3e-4
     doubt: Annotated[
         float, Field(gt=0, lt=1, description="probability of being lost from which poses elsewhere are looked for")
-    ] = 0.05
+    ] = 0.005
     fresh: Annotated[int, Field(ge=1, le=1_000_000, description="poses that the images of one scene propose")] = 1000
     particles_most: Annotated[
         int, Field(ge=1, le=10_000_000, description="most particles while several places are possible")
