@@ -76,8 +76,11 @@ class Scene:
         increment: the motion since the last image.
         """
         now, usual, jump = self.moved.then(increment), self.usual, Jump(1.0)
-        ways = [(now.path_m - one.moved.path_m, now.turned_rad - one.moved.turned_rad) for one in self.images]
-        away = [path_m / SCENE_M + turned_rad / SCENE_RAD for path_m, turned_rad in ways]  # scenes
+
+        def way_since(image: SeenImage) -> tuple[float, float]:
+            return now.path_m - image.moved.path_m, now.turned_rad - image.moved.turned_rad
+
+        away = [m / SCENE_M + rad / SCENE_RAD for m, rad in map(way_since, self.images)]  # scenes
         back = sum(scenes >= 1.0 for scenes in away)  # how many are a scene back
         first = max(back - WITH_OLDER, 0)
         images, away = self.images[first:], away[first:]
@@ -86,8 +89,7 @@ class Scene:
         def before(image: SeenImage) -> EarlierFrame:
             cov = np.zeros((3, 3))
             cov[2, 2] = max(now.cov[2, 2] - image.moved.cov[2, 2], 0.0)  # of edges that tell the motion; turns add up
-            way = now.path_m - image.moved.path_m, now.turned_rad - image.moved.turned_rad
-            since = Increment(between(image.moved.mean, now.mean), cov, *way)
+            since = Increment(between(image.moved.mean, now.mean), cov, *way_since(image))
             turn_var = float(covariance_of(motion, since)[2, 2])
             return EarlierFrame.of(observation.frame(image.sighting.edges), frame, since, turn_var)
 

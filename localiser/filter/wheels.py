@@ -98,9 +98,8 @@ class Wheels:
         if wheels.wrong > DOUBTED:
             both = mixture([Gaussian(increment.mean, cov), seen], np.array([1.0 - wheels.wrong, wheels.wrong]))
             return wheels, increment_of(both)
-        pace = Gaussian(
-            expected.mean / seconds, expected.cov / seconds**2
-        )  # where the image fits, it is the estimate's
+        # Where the image fits, `located` takes the estimate's pace instead.
+        pace = Gaussian(expected.mean / seconds, expected.cov / seconds**2)
         return replace(wheels, usual=usual, pace=pace), None
 
     def located(self, estimate: Estimate | None, seconds: float) -> Wheels:
