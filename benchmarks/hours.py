@@ -15,11 +15,8 @@ from pathlib import Path
 os.environ.update(dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import numpy as np
-from board.run import START_SIGMA, located, record_of
+from board.run import run
 from board.worlds import hours_of
-
-from localiser import Localiser, read_config
 
 KINDS = ("floor", "corridors", "chairs", "shelves", "crowd")
 
@@ -35,17 +32,11 @@ def main() -> None:
     print(columns.format("building", "images", "right", "sure", "sure, wrong", "warned", "takeovers", "false"))
     for kind in KINDS:
         for seed in range(arguments.seed, arguments.seed + arguments.hours):
-            drive = hours_of(kind, seed, arguments.minutes)
-            robot = Localiser(drive.landmark_map, drive.camera, read_config(None, ["observation.kind=line"]), seed)
-            start = drive.truth[0] + START_SIGMA * robot.rng.standard_normal(3)
-            robot.start(start, np.diag(START_SIGMA**2), int(drive.t_ns[0]))
-            frames, ms = located(robot, drive)
-            record = record_of(frames, ms, drive.truth, robot.landmark_map)
-            took_over = np.array([frame.located.took_over for frame in frames])
+            record = run(hours_of(kind, seed, arguments.minutes), seed)
             shares = record.right, record.sure, record.sure & ~record.right, record.warned
             percent = [f"{100 * share.mean():.3f} %" for share in shares]
-            counts = int(took_over.sum()), int((took_over & ~record.right).sum())
-            print(columns.format(f"{kind} {seed}", len(frames), *percent, *counts), flush=True)
+            counts = int(record.took_over.sum()), int((record.took_over & ~record.right).sum())
+            print(columns.format(f"{kind} {seed}", len(record.right), *percent, *counts), flush=True)
 
 
 if __name__ == "__main__":

@@ -57,14 +57,16 @@ class Record:
     """What the filter said of T images.
 
     seconds: (T,) since the first. error: (T, 3) of the estimate in x, z, heading; nan where the map is not that of the
-    building, so that nothing is right. p_correct: (T,). warned: (T,) whether it said that the map does not fit. nees:
-    (T,). ms: (T,) processor time since the image before.
+    building, so that nothing is right. p_correct: (T,). warned: (T,) whether it said that the map does not fit.
+    took_over: (T,) whether the pose jumped to another place. nees: (T,). ms: (T,) processor time since the image
+    before.
     """
 
     seconds: Array
     error: Array
     p_correct: Array
     warned: NDArray[np.bool_]
+    took_over: NDArray[np.bool_]
     nees: Array
     ms: Array
 
@@ -124,6 +126,7 @@ def record_of(frames: list[LocatedFrame], ms: list[float], truth: Array, landmar
         error=error,
         p_correct=np.array([one.p_correct for one in found]),
         warned=np.array([bool(one.warning) for one in found]),
+        took_over=np.array([one.took_over for one in found]),
         nees=nees(error, np.array([one.estimate.pose_cov for one in found])),
         ms=np.array(ms),
     )

@@ -21,7 +21,8 @@ from localiser.geometry import Array, between
 def record(error_m: list[float], p_correct: list[float], **known: Any) -> Record:
     """Return a record of T images at 5 Hz with errors in x."""
     count = len(error_m)
-    columns = {"warned": np.zeros(count, dtype=bool), "nees": np.full(count, 3.0), "ms": np.ones(count)}
+    columns = {"warned": np.zeros(count, dtype=bool), "took_over": np.zeros(count, dtype=bool)}
+    columns |= {"nees": np.full(count, 3.0), "ms": np.ones(count)}
     error = np.column_stack([error_m, np.zeros((count, 2))])
     return Record(0.2 * np.arange(count), error, np.array(p_correct), **(columns | known))
 
