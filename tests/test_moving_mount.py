@@ -247,6 +247,6 @@ def test_a_drive_is_as_accurate_as_with_all_rows_at_once_if_the_shutter_is_state
         """Return how much larger the error is than with all rows at once; one seed alone says up to 0.15 more."""
         return float(np.mean([one[name] for one in stated]) / np.mean([one[name] for one in plain]))
 
-    assert ratio("position_rmse_m") < 1.7 and ratio("heading_rmse_deg") < 1.3  # 1.3 and 1.29
+    assert ratio("position_rmse_m") < 1.7 and ratio("heading_rmse_deg") < 1.3  # 1.35 and 1.29
     assert all(one["nees_mean"] < 2.0 and one["confidence"]["sure_and_wrong"] == 0.0 for one in stated)
     assert replay_log(at_once, seed=0).metrics["heading_rmse_deg"] > 1.5 * stated[0]["heading_rmse_deg"]
