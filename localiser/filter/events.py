@@ -131,11 +131,10 @@ class Located:
     first. attitude: by how much tilt and roll differ from what is stated, None where edges do not tell. height: by how
     much the camera's height above the floor does. map_error: how far landmarks are from where the map has them.
     sighting: what particles were weighed by, edges corrected by attitude and height. matches: which landmark each of
-    them shows, seen from the estimate. warning: what a user should look
-    at, else "".
-    wheels_are_wrong: whether edges and map contradict the wheels, so that the robot is followed without them.
-    odometry_jumped: whether odometry began anew since the last image, so that the motion was bridged.
-    took_over: whether the pose jumped to another place than was tracked until this image.
+    them shows, seen from the estimate. warning: what a user should look at, else "". wheels_are_wrong: whether edges
+    and map contradict the wheels, so that the robot is followed without them. odometry_jumped: whether odometry began
+    anew since the last image, so that the motion was bridged. took_over: whether the pose jumped to another place than
+    was tracked until this image.
     """
 
     t_ns: int

@@ -65,12 +65,8 @@ def _place(poses: Array, order: Indices, first: int, size: int, lanes: int, offs
     right, back, yaw = offset
     for m in range(lanes):
         n = order[first + min(m, size - 1)]
-        block[_X, m], block[_Z, m], block[_HEADING, m], block[_YAW, m] = (
-            poses[n, 0],
-            poses[n, 1],
-            poses[n, 2],
-            poses[n, 3],
-        )
+        for row in range(_COS):
+            block[row, m] = poses[n, row]
     _turn(block, lanes)
     for m in range(lanes):
         block[_X, m] += block[_COS, m] * right + block[_SIN, m] * back
