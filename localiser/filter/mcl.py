@@ -47,7 +47,6 @@ from localiser.visual_odometry import Gaussian, Odometer, TwoImages, increment_o
 
 FEW_MOVED = 512  # particles that tell the height together with poses
 FEW_TOLD = 64  # particles that tell how well a motion predicts an image
-FIRST_THREADS = 4  # at most, that share the first image
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,29 +297,28 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
 
 def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng: np.random.Generator) -> Weighed:
     """Return particles that moved, by the optimal proposal where edges guide them, and are weighed."""
-    inliers, observation, parameters, moved = state.inliers.after(image.novelty), mcl.observation, mcl.parameters, None
-    if isinstance(observation, EdgeObservation):
-        if not state.weighed:  # many particles, many times: all wait for it
-            observation = observation.on_processors(FIRST_THREADS)
-        elif isinstance(mcl.motion, MotionParameters) and len(image.sighting.edges) and image.novelty > 0:
-            *earlier, last = image.drive.moves
-            cloud = mcl.moved(cloud, earlier, rng)
-            step = mcl.motion.expected_step(cloud, last)
-            ahead, axes = Particles(POSE, step.poses, cloud.log_weight).estimate, step.axes.mean(axis=2)
-            found = observation.associate(ahead.pose, image.sighting, mcl.landmark_map, ahead.cov + axes @ axes.T)
-            proposal = OptimalProposal(
-                observation.camera.at(image.sighting.edges.mount),
-                found.targets(inliers.mean),
-                image.novelty,
-                parameters.stage_below,
-                parameters.resample_below,
-            )
-            moved = proposal.moved(cloud, step, last, mcl.motion, rng)
+    inliers, parameters, moved = state.inliers.after(image.novelty), mcl.parameters, None
+    observation, motion, sighting = mcl.observation, mcl.motion, image.sighting
+    is_guided = state.weighed and len(sighting.edges) and image.novelty > 0
+    if isinstance(observation, EdgeObservation) and isinstance(motion, MotionParameters) and is_guided:
+        *earlier, last = image.drive.moves
+        cloud = mcl.moved(cloud, earlier, rng)
+        step = motion.expected_step(cloud, last)
+        ahead, axes = Particles(POSE, step.poses, cloud.log_weight).estimate, step.axes.mean(axis=2)
+        found = observation.associate(ahead.pose, sighting, mcl.landmark_map, ahead.cov + axes @ axes.T)
+        proposal = OptimalProposal(
+            observation.camera.at(sighting.edges.mount),
+            found.targets(inliers.mean),
+            image.novelty,
+            parameters.stage_below,
+            parameters.resample_below,
+        )
+        moved = proposal.moved(cloud, step, last, motion, rng)
     if moved is None:
         moved = mcl.moved(cloud, image.drive.moves, rng)
     visible = None if mcl.search is None else state.belief.landmarks.shown(len(mcl.landmark_map))
     tempering = Tempering(
-        observation, mcl.landmark_map, image.sighting, inliers, image.novelty, parameters.stage_below, visible
+        observation, mcl.landmark_map, sighting, inliers, image.novelty, parameters.stage_below, visible
     )
     return tempering.weighed(moved, not state.weighed, rng)
 

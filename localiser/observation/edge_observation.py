@@ -10,10 +10,9 @@ number of threads share the work.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -71,14 +70,6 @@ class EdgeObservation:
     def frame(self, edges: Edges) -> Frame:
         """Return the edges of an image as they are compared, by the camera as it was mounted then."""
         return _frame(self, edges)
-
-    def on_processors(self, most: int) -> EdgeObservation:
-        """Return the same, which weighs by as many threads as there are processors; results do not depend on it.
-
-        most: threads, unless the parameters ask for more.
-        """
-        threads = max(self.parameters.threads, min(os.cpu_count() or 1, most))
-        return replace(self, parameters=replace(self.parameters, threads=threads))
 
     # -- likelihood -------------------------------------------------------------------------------------------------
 

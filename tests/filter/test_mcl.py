@@ -248,26 +248,6 @@ def test_same_generator_same_arrays_another_differs() -> None:
     assert (first[-1].particles.columns != other[-1].particles.columns).any()
 
 
-def test_the_first_image_alone_is_shared_among_processors_and_gives_the_same_bytes(monkeypatch):
-    track = ahead(1.0, 100_000_000)
-    events = in_time([Start(0, START_POSE, PRIOR)], odometry(track), sighted(track, 0)[:3])
-    found, used = [], []
-    weigh = EdgeObservation.by_views
-
-    def watched(observation: EdgeObservation, *rest: object) -> list[Array]:
-        used.append(observation.parameters.threads)
-        return weigh(observation, *rest)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(EdgeObservation, "by_views", watched)
-    for processors in (1, 2):
-        monkeypatch.setattr("os.cpu_count", lambda processors=processors: processors)
-        found.append(run(filter_of(9000, NOISE), events))
-    assert sorted(set(used)) == [1, 2]
-    assert used[-1] == 1
-    for one, two in zip(*found, strict=True):
-        assert one.particles.columns.tobytes() == two.particles.columns.tobytes()
-
-
 def test_edges_lead_from_a_wrong_start_to_the_truth() -> None:
     truth = ahead(3, 200_000_000)
     events = in_time([Start(0, START_POSE, PRIOR)], odometry(ahead(3.2, 70_000_000)), sighted(truth, 0))
