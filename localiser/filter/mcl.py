@@ -332,17 +332,13 @@ def _contradicted(
     """
     seconds, seen, increment = (sighting.t_ns - state.at_ns) / 1e9, state.seen, image.drive.increment
     odometer, observation = mcl.odometer, mcl.edges
-    if (
-        observation is None
-        or odometer is None
-        or odometer.parameters.source == "vision"
-        or not state.weighed
-        or seen is None
-    ):
+    if observation is None or odometer is None or odometer.parameters.source == "vision":
         return None
-    if not 0 < seconds <= odometer.parameters.pace_s:  # later the robot may go on at any pace: nothing can be judged
+    # Later the robot may go on at any pace: nothing can be judged.
+    if seen is None or not state.weighed or state.particles is None or not 0 < seconds <= odometer.parameters.pace_s:
         return None
-    if not len(sighting.edges) or not len(seen.edges) or state.particles is None:
+    if not len(sighting.edges) or not len(seen.edges):
+        state.wheels = replace(state.wheels, fit=state.wheels.wrong == 0.0)
         return None
     before, level = state.particles, replace(image.sighting, persistent=None)
 

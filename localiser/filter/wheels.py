@@ -31,10 +31,9 @@ STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still 
 UNUSUAL = np.array([0.7, 0.4])  # part of what is usual below which other motions are compared: map, image before
 FIT_MEMORY = 0.5  # part of what is usual that an image leaves
 MOST_FOLLOWED = 48  # that are followed: the work grows with the square of their number
-MOST_TOLD = 4.0  # log-ratio of one image by the map
+MOST_TOLD = 4.0  # log-ratio of one image by the map; as much for the wheels says that the pace may be wrong, too
 DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
 ASTRAY = 0.05  # part of the motions by edges that are off by more than they claim
-SUSPECT = -4.0  # log-ratio from which on the pace may be wrong, too
 LEAST_SIGMA = np.array([1e-2, 1e-2, 2e-3])  # of any motion that is compared with edges, which are never exact
 
 
@@ -94,7 +93,7 @@ class Wheels:
         log_ratio = min(MAP_POWER * (by_map(increment_of(seen)) - by_map(increment)), MOST_TOLD)
         log_ratio += contradicts(wheels_say, seen, expected)
         log_odds = float(np.clip(_log_odds(prior) + log_ratio, -50.0, 50.0))
-        wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < SUSPECT)
+        wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < -MOST_TOLD or log_odds > 0)
         if wheels.wrong > DOUBTED:
             both = mixture([Gaussian(increment.mean, cov), seen], np.array([1.0 - wheels.wrong, wheels.wrong]))
             return wheels, increment_of(both)
@@ -106,7 +105,7 @@ class Wheels:
         """Return what is known once the robot has been located, `seconds` after the last image; None: it was not."""
         if estimate is None or self.pose is None:
             return replace(self, pose=None if estimate is None else estimate.pose, pace=None)
-        if seconds <= 0 or not (self.fit or self.are_wrong):
+        if seconds <= 0 or not self.fit:
             return replace(self, pose=estimate.pose)
         pace = between(self.pose, estimate.pose) / seconds
         return replace(self, pose=estimate.pose, pace=Gaussian(pace, estimate.pose_cov / seconds**2))
