@@ -21,7 +21,7 @@ from localiser import (
 )
 from localiser.camera import Mount
 from localiser.edges import EdgeParameters, find_edges
-from localiser.geometry import Array
+from localiser.geometry import Array, compose
 from localiser.markers import DICTIONARIES, code_of, name_of, sides_of_markers
 from localiser.simulate.world import world_of
 
@@ -172,6 +172,31 @@ def test_a_marker_that_hangs_twice() -> None:
     error, p_correct, _, localiser = driven(both, both, start)
     assert (error[p_correct > 0.9] < 0.2).all() and (p_correct > 0.9).mean() > 0.9
     assert localiser.markers.warnings(both) == ["Marker tag36h11:7 is on the map twice: it tells no place."]
+
+
+def test_a_marker_frees_a_robot_that_was_carried_while_nothing_mapped_was_in_view() -> None:
+    """It turned to a bare wall first, where no edge speaks against its place; other edges alone did not free it."""
+    seconds = np.arange(0.0, 16.0, 0.2)
+    turned = np.clip(seconds - 2.0, 0.0, 3.0) * (np.pi / 3.0)
+    poses = np.stack([-0.6 + 0.06 * seconds, np.full(len(seconds), 1.0), turned], axis=-1)
+    carried = seconds >= 7.0
+    ahead = np.array([0.0, -0.12, 0.0]) * (seconds[carried] - 7.0)[:, None]
+    poses[carried] = compose(np.array([1.6, 1.4, 0.3]), ahead)
+    odometry = poses.copy()
+    odometry[carried] = compose(poses[~carried][-1], ahead)
+    world = marked(HALF + np.random.default_rng(5).normal(0.0, 0.3, HALF.shape), 3)
+    truth = Trajectory((seconds * 1e9).astype(np.int64), poses)
+    noise = EdgeNoise(endpoint_sigma_px=0.25, along_sigma_px=2.0, detection_probability=0.9, clutter_per_frame=2.0)
+    edges = simulated_edges(world, CAMERA, truth, np.random.default_rng(3), noise=noise)
+    names = [code_of(one["identity"])[0] if one else -1 for one in world.extra]
+    localiser, frames = Localiser(world, CAMERA, read_config(None, ["edges.markers=tag36h11"]), seed=1), []
+    localiser.start(poses[0], np.diag([0.1, 0.1, 0.05]) ** 2, 0)
+    for t_ns, pose, seen in zip(truth.t_ns.tolist(), odometry, edges, strict=True):
+        localiser.odometry(t_ns, pose)
+        frames += localiser.edges(t_ns, as_read(seen, np.array([*names, -1])))
+    error = np.hypot(*(np.array([one.located.estimate.pose for one in frames]) - poses)[:, :2].T)
+    assert (error[~carried] < 0.2).all() and error[carried][0] > 1.5
+    assert (error[-15:] < 0.2).all() and all(one.located.p_correct > 0.9 for one in frames[-15:])
 
 
 # -- on the map -------------------------------------------------------------------------------------------------------
