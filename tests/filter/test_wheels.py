@@ -102,6 +102,27 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     assert again.pace is told.pace  # of two images at one time the second tells no speed
 
 
+def test_an_image_without_edges_leaves_the_pace_while_wheels_are_doubted() -> None:
+    """Its particles follow the wheels, so wheels that stand still would agree with a pace of 0 from then on."""
+    log, edges = corridor_with_edges()
+    localiser = Localiser(log.landmark_map, log.camera, read_config(None, (), log.settings))
+    start = start_of(log, "truth", localiser.rng)
+    localiser.start(start.mean, start.cov, start.t_ns)
+    blank_ns = min(t_ns for t_ns in edges if t_ns - log.odometry.t_ns[0] > (BEGIN_S + 1.0) * 1e9)
+    known: list[Wheels] = []
+    for event in events_with(log, start, "stand still"):
+        if isinstance(event, Odometry):
+            localiser.odometry(event.t_ns, event.pose)
+        elif not isinstance(event, Start):
+            localiser.edges(event.t_ns, Edges.none() if event.t_ns >= blank_ns else edges[event.t_ns])
+            known.append(localiser.state.wheels)
+            if event.t_ns > blank_ns + 10**9:
+                break
+    blank = known[-5:]
+    assert all(one.wrong > 0.5 for one in blank) and len({one.pace for one in blank}) == 1
+    assert blank[0].pace is not None and blank[0].pace.mean[1] < -0.2, "it went ahead"
+
+
 def test_other_motions_are_compared_where_an_image_fits_far_worse_than_usual() -> None:
     """The map must fit worse by log(999 / 19 / 20) / 0.6 = 1.61: with less, one image cannot bring wheels in doubt."""
     still, nothing = Increment.from_mean(np.zeros(3)), TwoImages.of(Edges.none(), Edges.none(), CAMERA)
