@@ -416,7 +416,7 @@ def _located(
         p_correct=p_correct,
         reason=belief.reason(p_correct, measured),
         warning=belief.warning,
-        wheels_are_wrong=state.wheels.are_wrong,
+        wheels_are_wrong=state.wheels.wrong > 0.5,
         odometry_jumped=image.drive.jumped,
         clusters=clusters,
         attitude=state.attitude,

@@ -53,11 +53,6 @@ class Wheels:
     pace: Gaussian | None = None
     fit: bool = True
 
-    @property
-    def are_wrong(self) -> bool:
-        """Whether they are more likely wrong than right."""
-        return self.wrong > 0.5
-
     def after(
         self,
         fit: Array,
