@@ -43,8 +43,8 @@ class Wheels:
 
     wrong: probability that they were wrong at the last image. usual: (2,) mean log-likelihood of images whose motion
     they told: by the map, and by the image before. pose: (3,) estimate at the last image, None where none was tracked.
-    pace: motion per second, None where not known. fit: whether the last image fitted where the wheels said. The pace is
-    the estimate's while images fit; where one does not, the robot is expected to go on at the pace from before.
+    pace: motion per second, None where not known. fit: whether the estimate of the last image tells it: where the image
+    fitted what the wheels said, or edges told that these are wrong. Else the robot goes on at the pace from before.
     """
 
     wrong: float = 0.0
