@@ -46,7 +46,7 @@ LIKELY = 0.1  # and its own probability
 # each metre from which landmarks were in view, however well it fits.
 PATIENCE = 1.5
 # It explains it where its log-likelihood along the last such metre is above this; where none is in view, above 0.
-SUPPORT_M, SUPPORTED = 1.0, 2.0
+SUPPORT_M, MOST_SUPPORT, SUPPORTED = 1.0, 8.0, 2.0
 # Probability of having been carried from which on that counts for nothing; `SURELY_CARRIED` where none is in view.
 SUSPECTED = 0.008
 WON = 50.0  # odds against the particles from which on a place is tracked in their stead
@@ -188,7 +188,8 @@ class Belief:
             limits = np.array([max(log_shown - gain, 0.0), gain + PATIENCE * seen_m])
             log_elsewhere = float(min(log_elsewhere - limits[0], limits[1]))
         log_bare = -BARE * novelty if sees else 0.0
-        belief = replace(belief, candidates=candidates, detections=detections, shown=shown, support=explained)
+        support = min(explained, MOST_SUPPORT)
+        belief = replace(belief, candidates=candidates, detections=detections, shown=shown, support=support)
         belief = replace(belief, history=replace(belief.history, limits=belief.history.limits + limits))
         log_tracked += blind * log_bare
         top = max(log_tracked, log_elsewhere if belief.elsewhere > 0 else 0.0, 0.0)
