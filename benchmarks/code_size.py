@@ -27,7 +27,7 @@ CORE = ("edges", "landmarks", "particles", "motion", "geometry", "documents", "c
 
 # What is counted: the ceiling of today, and the goal.
 BUDGETS = {
-    "lines: " + ", ".join(FILTER): (5_160, 4_600),
+    "lines: " + ", ".join(FILTER): (5_135, 4_600),
     "lines: " + ", ".join(CORE): (5_160, 5_200),
     "lines: around the core": (24_400, 24_500),
     "lines: all of localiser": (34_710, 34_300),
