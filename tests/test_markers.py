@@ -118,19 +118,27 @@ def driven(
     seconds = np.arange(0.0, 12.0, 0.2)
     poses = np.stack([-0.6 + 0.08 * seconds, 1.0 - 0.12 * seconds, 0.35 * np.sin(seconds)], axis=-1)
     truth = Trajectory((seconds * 1e9).astype(np.int64), poses)
+    pose, p_correct, localiser = followed(world, landmark_map, start, truth, poses)
+    error = pose - poses * ([-1, -1, 1] if is_turned else 1)
+    return np.hypot(*error[:, :2].T), p_correct, seconds, localiser
+
+
+def followed(
+    world: LandmarkMap, landmark_map: LandmarkMap, start: Array | None, truth: Trajectory, odometry: Array
+) -> tuple[Array, Array, Localiser]:
+    """Return estimates (T, 3), p_correct (T,), and the localiser. odometry: (T, 3) poses as the wheels have them."""
     noise = EdgeNoise(endpoint_sigma_px=0.25, along_sigma_px=2.0, detection_probability=0.9, clutter_per_frame=2.0)
     edges = simulated_edges(world, CAMERA, truth, np.random.default_rng(3), noise=noise)
     names = [code_of(one["identity"])[0] if one else -1 for one in world.extra]
-    config = read_config(None, ["edges.markers=tag36h11"])
-    localiser = Localiser(landmark_map, CAMERA, config, seed=1)
+    localiser = Localiser(landmark_map, CAMERA, read_config(None, ["edges.markers=tag36h11"]), seed=1)
     if start is not None:
         localiser.start(start, np.diag([0.1, 0.1, 0.05]) ** 2, int(truth.t_ns[0]))
     frames = []
-    for t_ns, pose, seen in zip(truth.t_ns.tolist(), poses, edges, strict=True):
+    for t_ns, pose, seen in zip(truth.t_ns.tolist(), odometry, edges, strict=True):
         localiser.odometry(t_ns, pose)
         frames += localiser.edges(t_ns, as_read(seen, np.array([*names, -1])))
-    error = np.array([one.located.estimate.pose for one in frames]) - poses * ([-1, -1, 1] if is_turned else 1)
-    return np.hypot(*error[:, :2].T), np.array([one.located.p_correct for one in frames]), seconds, localiser
+    found = [one.located for one in frames]
+    return np.array([one.estimate.pose for one in found]), np.array([one.p_correct for one in found]), localiser
 
 
 def as_read(edges: Edges, names: np.ndarray) -> Edges:
@@ -186,17 +194,10 @@ def test_a_marker_frees_a_robot_that_was_carried_while_nothing_mapped_was_in_vie
     odometry[carried] = compose(poses[~carried][-1], ahead)
     world = marked(HALF + np.random.default_rng(5).normal(0.0, 0.3, HALF.shape), 3)
     truth = Trajectory((seconds * 1e9).astype(np.int64), poses)
-    noise = EdgeNoise(endpoint_sigma_px=0.25, along_sigma_px=2.0, detection_probability=0.9, clutter_per_frame=2.0)
-    edges = simulated_edges(world, CAMERA, truth, np.random.default_rng(3), noise=noise)
-    names = [code_of(one["identity"])[0] if one else -1 for one in world.extra]
-    localiser, frames = Localiser(world, CAMERA, read_config(None, ["edges.markers=tag36h11"]), seed=1), []
-    localiser.start(poses[0], np.diag([0.1, 0.1, 0.05]) ** 2, 0)
-    for t_ns, pose, seen in zip(truth.t_ns.tolist(), odometry, edges, strict=True):
-        localiser.odometry(t_ns, pose)
-        frames += localiser.edges(t_ns, as_read(seen, np.array([*names, -1])))
-    error = np.hypot(*(np.array([one.located.estimate.pose for one in frames]) - poses)[:, :2].T)
+    pose, p_correct, _ = followed(world, world, poses[0], truth, odometry)
+    error = np.hypot(*(pose - poses)[:, :2].T)
     assert (error[~carried] < 0.2).all() and error[carried][0] > 1.5
-    assert (error[-15:] < 0.2).all() and all(one.located.p_correct > 0.9 for one in frames[-15:])
+    assert (error[-15:] < 0.2).all() and (p_correct[-15:] > 0.9).all()
 
 
 # -- on the map -------------------------------------------------------------------------------------------------------
