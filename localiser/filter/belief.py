@@ -171,8 +171,8 @@ class Belief:
             blind = float(found.before.weight[(found.by_rate == 0.0).all(axis=0)].sum())
             support = self.support
         seen_m = (1.0 - blind) * jump.path_m
-        names_a_place = (marked_landmarks(sighting.edges, search.landmark_map) >= 0).any()  # by a marker
-        is_suspected = names_a_place or carried >= (SUSPECTED if blind < 0.5 else SURELY_CARRIED)
+        shows_marker = (marked_landmarks(sighting.edges, search.landmark_map) >= 0).any()
+        is_suspected = shows_marker or carried >= (SUSPECTED if blind < 0.5 else SURELY_CARRIED)
         explained = log_shown if is_suspected else support * float(np.exp(-seen_m / SUPPORT_M)) + log_shown
         is_explained = not is_suspected and explained > SUPPORTED * (1.0 - blind)
         candidates, log_elsewhere = self.candidates, 0.0

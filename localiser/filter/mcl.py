@@ -338,6 +338,7 @@ def _contradicted(
     if seen is None or not state.weighed or state.particles is None or not 0 < seconds <= odometer.parameters.pace_s:
         return None
     if not len(sighting.edges) or not len(seen.edges):
+        # The particles follow the wheels. While these are doubted, that tells no pace.
         state.wheels = replace(state.wheels, fit=state.wheels.wrong == 0.0)
         return None
     before, level = state.particles, replace(image.sighting, persistent=None)
