@@ -77,6 +77,11 @@ class Particles:
             cov += np.asarray(by_constant_error @ self.constant_error_cov @ by_constant_error.T)
         return Estimate(self.names, mean, cov)
 
+    @cached_property
+    def clusters(self) -> Clusters:
+        """The places where the robot may be."""
+        return find_clusters(self.poses, self.weight)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:

@@ -25,7 +25,7 @@ from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
 from localiser.observation import FEWEST_EDGES, DetectionRate, PlaceLandmarks, Sighting, marked_landmarks
-from localiser.particles import Clusters, Estimate, Particles, find_clusters
+from localiser.particles import Clusters, Estimate, Particles
 from localiser.relocalisation import PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
 LEFT = 1e-3  # between scenes: from mapped to unmapped surroundings, or from off the map onto it
@@ -306,7 +306,7 @@ class Belief:
         if self.candidates is None:
             return None
         cloud = self.candidates.particles
-        near = is_near(cloud.poses, find_clusters(cloud.poses, cloud.weight).mean[0])
+        near = is_near(cloud.poses, cloud.clusters.mean[0])
         share = float(cloud.weight[near].sum())
         if is_tracked and share * self.elsewhere < max(WON * self.here, 0.5):
             return None
@@ -345,14 +345,12 @@ class Belief:
         It is from those tracked, else from the likeliest place among the candidates.
         """
         others = None if self.candidates is None else self.candidates.particles
-        cloud = others if tracked is None else tracked
-        assert cloud is not None
-        clusters = find_clusters(cloud.poses, cloud.weight)
         if tracked is None:
-            return cloud, particles.only(cloud, clusters.label == 0).estimate, clusters
+            assert others is not None
+            return others, particles.only(others, others.clusters.label == 0).estimate, others.clusters
+        clusters = tracked.clusters
         if others is not None and self.elsewhere > 0:
-            elsewhere = find_clusters(others.poses, others.weight)
-            clusters = clusters.beside(elsewhere, self.elsewhere / (self.elsewhere + self.here))
+            clusters = clusters.beside(others.clusters, self.elsewhere / (self.elsewhere + self.here))
         return tracked, tracked.estimate, clusters
 
     def p_correct(self, cloud: Particles, pose: Array, *, is_tracked: bool) -> float:
