@@ -18,7 +18,7 @@ from statistics import median
 
 import numpy as np
 
-from localiser.camera import Camera, Mount
+from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.observation import ENDPOINT_SIGMA_PX
@@ -116,25 +116,20 @@ class Height:
         is_tracked: whether a place is. Where none is, the sigma is left out: ends must tell places apart, and most
         stated heights are right.
         """
-        stated = camera.at(edges.mount).mount
-        if (measured_sigma_m := height_sigma_of_image(stated)) is not None:
-            return replace(edges, height_sigma_m=measured_sigma_m)
         if is_measured(camera, edges):
-            return edges
+            sigma = camera.at(edges.mount).mount.sigma
+            return edges if sigma is None or sigma.height_m is None else replace(edges, height_sigma_m=sigma.height_m)
         sigma_m = float(np.sqrt(self._variance))
         if is_tracked and sigma_m > UNEVEN_M:
             edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
         if abs(self.mean_m) < _USED * self.sigma_m:
             return edges
-        return _seen_from(edges, stated, round(self.mean_m / STEP_M) * STEP_M)
+        return seen_from(edges, camera, round(self.mean_m / STEP_M) * STEP_M)
 
 
-def seen_from_offset(edges: Edges, camera: Camera, offset_m: float) -> Edges:
-    """Return the edges as seen from one of `COARSE_M` above the stated height, with its sigma."""
-    return replace(_seen_from(edges, camera.at(edges.mount).mount, offset_m), height_sigma_m=COARSE_SIGMA_M)
-
-
-def _seen_from(edges: Edges, stated: Mount, offset_m: float) -> Edges:
+def seen_from(edges: Edges, camera: Camera, offset_m: float) -> Edges:
+    """Return the edges as seen from so far above the stated height."""
+    stated = camera.at(edges.mount).mount
     height_m = stated.height_m + offset_m
     range_m = edges.foot_range_m * (height_m / stated.height_m)
     return replace(edges, mount=replace(stated, height_m=height_m), foot_range_m=range_m)
@@ -143,9 +138,5 @@ def _seen_from(edges: Edges, stated: Mount, offset_m: float) -> Edges:
 def is_measured(camera: Camera, edges: Edges) -> bool:
     """Whether the height was measured for this image: it is not the camera's usual one, or has a sigma of its own."""
     mount = camera.at(edges.mount).mount
-    return mount.height_m != camera.mount.height_m or height_sigma_of_image(mount) is not None
-
-
-def height_sigma_of_image(mount: Mount) -> float | None:
-    """Return the sigma of a height that was measured for one image, None where that is not said."""
-    return None if mount.sigma is None else mount.sigma.height_m
+    has_sigma = mount.sigma is not None and mount.sigma.height_m is not None
+    return has_sigma or mount.height_m != camera.mount.height_m

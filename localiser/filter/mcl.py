@@ -20,7 +20,7 @@ from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief, Move
 from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_near, is_silent, moves_between
-from localiser.filter.height import COARSE_NOVELTY, LEAST_NOVELTY, Height, is_measured, seen_from_offset
+from localiser.filter.height import COARSE_NOVELTY, COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, seen_from
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
@@ -459,8 +459,8 @@ def _height_with_poses(mcl: Mcl, state: FilterState, few: Particles, sighting: S
     blur_rad = max(spread_rad / len(few) ** (1 / len(POSE)) - sigma_rad, 0.0)
 
     def log_likelihood(offset_m: float) -> float:
-        image = replace(sighting, edges=seen_from_offset(sighting.edges, camera, offset_m))
-        by_rate = observation.by_rate(few, image, mcl.landmark_map, blur_rad)
+        edges = replace(seen_from(sighting.edges, camera, offset_m), height_sigma_m=COARSE_SIGMA_M)
+        by_rate = observation.by_rate(few, replace(sighting, edges=edges), mcl.landmark_map, blur_rad)
         return float(log_sum(few.log_weight + state.inliers.after(1.0).log_mean(by_rate)))
 
     return state.height.with_poses(log_likelihood, state.height.novelty if state.weighed else 1.0)
