@@ -52,10 +52,10 @@ MECHANISMS: dict[str, Patch] = {
     "map-error": _set("filter.mcl:_map_error", lambda mcl, state, *_: state.map_error),
     "map-decorrelation": _set("filter.map_error:LONGEST", 1.0),
     "height": _all(
-        _set("filter.mcl:_tells_height_with_poses", lambda *_: False),
+        _set("filter.mcl:_height_with_poses", lambda mcl, state, *_: state.height),
         _set("filter.mcl:_height", lambda mcl, state, *_: state.height),
     ),
-    "height-with-poses": _set("filter.mcl:_tells_height_with_poses", lambda *_: False),
+    "height-with-poses": _set("filter.mcl:_height_with_poses", lambda mcl, state, *_: state.height),
     "near-landmarks": _set("observation.place_landmarks:PlaceLandmarks.log_odds", 0.0),
     "visibility": _set("observation.place_landmarks:PlaceLandmarks.shown", lambda self, landmarks: np.ones(landmarks)),
     "wheels-check": _set("filter.mcl:_contradicted", lambda *_: None),

@@ -182,9 +182,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     sighting = _from_height(mcl, state, measured)
     # Drive: how did the robot move, by odometry?
     drive = _driven(mcl, state, sighting)
-    if state.particles is not None and _tells_height_with_poses(mcl, state, measured):
-        few = mcl.moved(thinned(state.particles, FEW_MOVED), drive.moves, rng)
-        state.height = _height_with_poses(mcl, state, few, measured)
+    before, state.height = state.height, _height_with_poses(mcl, state, measured, drive.moves, rng)
+    if state.height is not before:
         sighting = _from_height(mcl, state, measured)
     image, found = _received(mcl, state, sighting, drive), None
     if state.particles is not None:
@@ -437,30 +436,28 @@ def _from_height(mcl: Mcl, state: FilterState, sighting: Sighting) -> Sighting:
     return replace(sighting, edges=state.height.corrected(sighting.edges, mcl.level.camera, is_tracked=is_tracked))
 
 
-def _tells_height_with_poses(mcl: Mcl, state: FilterState, sighting: Sighting) -> bool:
-    """Return whether an image should tell the camera's height together with the pose."""
-    level, edges, landmarks = mcl.level, sighting.edges, mcl.landmark_map
-    if level is None or mcl.edges is None or not state.height.is_unknown:
-        return False
-    if not np.isfinite(edges.ends_px).all() or is_measured(level.camera, edges):
-        return False
-    is_new = not state.weighed or state.height.novelty >= COARSE_NOVELTY
-    return is_new and bool(np.isfinite([landmarks.bottom_m, landmarks.top_m]).any())
+def _height_with_poses(
+    mcl: Mcl, state: FilterState, sighting: Sighting, moves: list[Increment], rng: np.random.Generator
+) -> Height:
+    """Return what is known of the camera's height after an image that tells it together with the pose.
 
-
-def _height_with_poses(mcl: Mcl, state: FilterState, few: Particles, sighting: Sighting) -> Height:
-    """Return what is known of the camera's height after an image, over the poses of all particles.
-
-    Edges are blurred so that a few particles are dense enough.
+    That is over the poses of all particles. Edges are blurred so that a few particles are dense enough.
     """
-    assert mcl.level is not None and mcl.edges is not None
-    observation, camera = mcl.edges, mcl.level.camera
-    spread_rad, sigma_rad = observation.scales(few, sighting, mcl.landmark_map)
+    observation, landmarks, edges = mcl.edges, mcl.landmark_map, sighting.edges
+    if mcl.level is None or observation is None or state.particles is None or not state.height.is_unknown:
+        return state.height
+    if not np.isfinite(edges.ends_px).all() or is_measured(mcl.level.camera, edges):
+        return state.height
+    is_new = not state.weighed or state.height.novelty >= COARSE_NOVELTY
+    if not is_new or not np.isfinite([landmarks.bottom_m, landmarks.top_m]).any():
+        return state.height
+    camera, few = mcl.level.camera, mcl.moved(thinned(state.particles, FEW_MOVED), moves, rng)
+    spread_rad, sigma_rad = observation.scales(few, sighting, landmarks)
     blur_rad = max(spread_rad / len(few) ** (1 / len(POSE)) - sigma_rad, 0.0)
 
     def log_likelihood(offset_m: float) -> float:
-        edges = replace(seen_from(sighting.edges, camera, offset_m), height_sigma_m=COARSE_SIGMA_M)
-        by_rate = observation.by_rate(few, replace(sighting, edges=edges), mcl.landmark_map, blur_rad)
+        shifted = replace(seen_from(edges, camera, offset_m), height_sigma_m=COARSE_SIGMA_M)
+        by_rate = observation.by_rate(few, replace(sighting, edges=shifted), landmarks, blur_rad)
         return float(log_sum(few.log_weight + state.inliers.after(1.0).log_mean(by_rate)))
 
     return state.height.with_poses(log_likelihood, state.height.novelty if state.weighed else 1.0)
