@@ -49,8 +49,8 @@ class OptimalProposal:
         """
         count, left = len(cloud), 1.0
         for stage in range(MOST_STAGES + 1):
-            density = step_density(step, self.camera, self.targets, self.novelty)
-            ahead = flattened(density.log_evidence, cloud.log_weight)
+            root, explained, log_evidence = step_density(step, self.camera, self.targets, self.novelty)
+            ahead = flattened(log_evidence, cloud.log_weight)
             weight = particles.normalised(cloud.log_weight + left * ahead)
             if stage == MOST_STAGES or particles.effective_sample_size(weight) >= self.resample_below * count:
                 break
@@ -60,35 +60,17 @@ class OptimalProposal:
             if left > 0:
                 cloud = particles.spread(cloud, rng)
             step = motion.expected_step(cloud, increment)
-        normal, log_ratio = density.draw(rng)
+        normal, log_ratio = drawn(root, explained, rng)
         moved = motion.stepped(cloud, step, normal, increment)
         return replace(moved, log_weight=cloud.log_weight + log_ratio - (1 - left) * ahead)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StepDensity:
-    """The optimal proposal of the standardised steps of N particles: q = N(A⁻¹ b, A⁻¹), A = L Lᵀ.
+def step_density(step: Step, camera: Camera, targets: Targets, novelty: float) -> tuple[Array, Array, Array]:
+    """Return the optimal proposal of standardised steps, from odometry and the new part of the edges' evidence.
 
-    root: L (6, N), its rows 00, 10, 11, 20, 21, 22. explained: L⁻¹ b (3, N). log_evidence: ψ (N,), the log of the mean
-    of the edges' likelihood over all steps that odometry allows.
+    For each of N particles it is N(A⁻¹ b, A⁻¹), A = L Lᵀ. Returned are L (6, N), its rows 00, 10, 11, 20, 21, 22, then
+    L⁻¹ b (3, N), and ψ (N,), the log of the mean of the edges' likelihood over all steps that odometry allows.
     """
-
-    root: Array
-    explained: Array
-    log_evidence: Array
-
-    def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return standardised steps (3, N), and log p/q (N,) of having drawn them."""
-        from localiser.filter import optimal_proposal_kernel as kernel
-
-        normal = rng.standard_normal((3, len(self.log_evidence)))
-        blind = rng.random(len(self.log_evidence)) < BLIND
-        step, log_density = kernel.drawn(self.root, self.explained, normal, blind)
-        return step, -_log_mixed(log_density)
-
-
-def step_density(step: Step, camera: Camera, targets: Targets, novelty: float) -> StepDensity:
-    """Return the optimal proposal of the steps of particles, from odometry and the new part of the edges' evidence."""
     from localiser.filter import optimal_proposal_kernel as kernel
 
     mount, angle, poses = camera.mount, targets.angle, step.poses
@@ -97,7 +79,17 @@ def step_density(step: Step, camera: Camera, targets: Targets, novelty: float) -
     steps = np.concatenate([poses[:2], cos_sin(poses[2]), step.axes.reshape(9, -1)])
     found = kernel.linearised(steps, table, offset, float(np.sin(mount.tilt_rad)), targets.is_slope)
     root = found[:6]
-    return StepDensity(root, found[6:9], found[9] - np.log(root[0] * root[2] * root[5]))
+    return root, found[6:9], found[9] - np.log(root[0] * root[2] * root[5])
+
+
+def drawn(root: Array, explained: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return standardised steps (3, N), and log p/q (N,) of having drawn them. root, explained: of `step_density`."""
+    from localiser.filter import optimal_proposal_kernel as kernel
+
+    normal = rng.standard_normal(explained.shape)
+    blind = rng.random(len(normal.T)) < BLIND
+    step, log_density = kernel.drawn(root, explained, normal, blind)
+    return step, -_log_mixed(log_density)
 
 
 def warm_up() -> None:

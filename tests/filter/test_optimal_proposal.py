@@ -9,7 +9,7 @@ from simulated_edges import simulated_edges
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.filter import optimal_proposal
-from localiser.filter.optimal_proposal import OptimalProposal, flattened, step_density
+from localiser.filter.optimal_proposal import OptimalProposal, drawn, flattened, step_density
 from localiser.geometry import Increment, Trajectory
 from localiser.landmarks import LandmarkMap, in_camera
 from localiser.motion import MotionParameters
@@ -49,7 +49,8 @@ def test_the_loop_does_what_arrays_and_differences_do(kind, off_rad):
     step = MOTION.expected_step(cloud(20), MOVE)
     sigma = np.array([0.01, 0.02, 0.03])
     angle = expected_angles(step.poses, kind).mean(axis=0) + off_rad
-    found = step_density(step, CAMERA, Targets(POINTS, angle, sigma**2, kind == "slope"), 0.5)
+    targets = Targets(POINTS, angle, sigma**2, kind == "slope")
+    root, explained, log_evidence = step_density(step, CAMERA, targets, 0.5)
     shift = 1e-6
     gradient = np.stack(
         [
@@ -64,14 +65,14 @@ def test_the_loop_does_what_arrays_and_differences_do(kind, off_rad):
     towards = np.einsum("k,nki,nk->ni", weight, gradient, residual)
     lower = np.zeros((20, 3, 3))
     for row, (i, j) in enumerate([(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)]):
-        lower[:, i, j] = found.root[row]
+        lower[:, i, j] = root[row]
     assert lower @ np.swapaxes(lower, 1, 2) == pytest.approx(information, rel=1e-4)
-    assert np.einsum("nij,jn->ni", lower, found.explained) == pytest.approx(towards, rel=1e-4, abs=1e-3)
+    assert np.einsum("nij,jn->ni", lower, explained) == pytest.approx(towards, rel=1e-4, abs=1e-3)
     # ψ is the logarithm of a normal density's integral: log N(r; 0, I/w + G Gᵀ) up to what all particles share.
     for n in range(20):
         spread = np.diag(1 / weight) + gradient[n] @ gradient[n].T
         whole = -0.5 * residual[n] @ np.linalg.solve(spread, residual[n]) - 0.5 * np.linalg.slogdet(spread)[1]
-        assert found.log_evidence[n] == pytest.approx(whole + 0.5 * np.log(1 / weight).sum(), abs=1e-3)
+        assert log_evidence[n] == pytest.approx(whole + 0.5 * np.log(1 / weight).sum(), abs=1e-3)
 
 
 def test_weights_take_back_where_steps_were_drawn():
@@ -79,7 +80,7 @@ def test_weights_take_back_where_steps_were_drawn():
     step = MOTION.expected_step(take(cloud(1), np.zeros(200_000, dtype=np.int64)), MOVE)
     angle = expected_angles(step.poses[:, :1], "line")[0] + 0.02
     targets = Targets(POINTS, angle, np.full(3, 0.02**2), False)
-    normal, log_ratio = step_density(step, CAMERA, targets, 1.0).draw(np.random.default_rng(3))
+    normal, log_ratio = drawn(*step_density(step, CAMERA, targets, 1.0)[:2], np.random.default_rng(3))
     weight = normalised(log_ratio)
     assert log_ratio.max() <= -np.log(optimal_proposal.BLIND) + 1e-9
     error = 5 / np.sqrt(effective_sample_size(weight))
