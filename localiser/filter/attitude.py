@@ -75,21 +75,13 @@ class Attitude:
             )
         cov = common.cov.copy()
         cov[:known, :known] = self.cov
-        return replace(
-            edges,
-            bearing=bearing,
-            lean=lean,
-            ends_px=self._levelled_px(edges.ends_px, ends, camera),
-            common=replace(common, cov=cov),
-        )
-
-    def _levelled_px(self, ends_px: Array, ends: Array, camera: Camera) -> Array:
-        """Return where ends (E, 2, 2) would be in an image of the stated mount; those at the border are still there."""
         mount, (tilt, roll) = camera.mount, self.mean.tolist()
         turned = camera.with_mount(tilt_rad=mount.tilt_rad + tilt, roll_rad=mount.roll_rad + roll)
         rays = np.concatenate([ends, -np.ones_like(ends[..., :1])], axis=-1)
-        moved = camera.project_level(rays @ turned.level_from_camera.T)
-        return np.where(at_border(ends_px, camera)[..., None] | ~np.isfinite(moved), ends_px, moved)
+        moved_px = camera.project_level(rays @ turned.level_from_camera.T)
+        is_cut = at_border(edges.ends_px, camera)[..., None]  # an end at the border is still there
+        ends_px = np.where(is_cut | ~np.isfinite(moved_px), edges.ends_px, moved_px)
+        return replace(edges, bearing=bearing, lean=lean, ends_px=ends_px, common=replace(common, cov=cov))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
