@@ -211,9 +211,9 @@ def evenly_around(centres: Array, region: Region, rng: np.random.Generator) -> t
 
 def _boxes_at(poses: Array, centres: Array) -> Array:
     """Return how many of the boxes around poses (K, 3) each of the poses (N, 3) is in."""
-    boxes = np.zeros(len(poses))
-    for centre in centres:
-        apart = poses - centre
-        apart[:, 2] = wrap_angle(apart[:, 2])
-        boxes += (np.abs(apart) <= 0.5 * BOX + 1e-9).all(axis=1)
+    boxes, (x, z, heading) = np.zeros(len(poses)), poses.T.copy()
+    half_x, half_z, half_turn = 0.5 * BOX + 1e-9
+    for at_x, at_z, towards in centres:
+        beside = np.flatnonzero((np.abs(x - at_x) <= half_x) & (np.abs(z - at_z) <= half_z))
+        boxes[beside] += np.abs(wrap_angle(heading[beside] - towards)) <= half_turn
     return boxes
