@@ -259,7 +259,7 @@ class Belief:
         if len(proposed):
             late = self.history.weighed(proposed, sighting, search.evidence, motion, rng)
             more, probability = beyond(late, self.candidates, self.elsewhere)
-            belief = belief if more is None else belief._with(more, probability)
+            belief = belief._with(more, probability) if len(more) else belief
         return belief._normalised()
 
     def _with(self, others: Candidates, probability: float) -> Belief:

@@ -217,8 +217,8 @@ class History:
         return Candidates(replace(proposed.particles, log_weight=log_weight), followed.rates)
 
 
-def beyond(proposed: Candidates, known: Candidates | None, probability: float) -> tuple[Candidates | None, float]:
-    """Return proposed poses with the probability that they have beyond those known in their cells, and all of it.
+def beyond(proposed: Candidates, known: Candidates | None, probability: float) -> tuple[Candidates, float]:
+    """Return proposed poses that have some probability beyond those known in their cells, with that, and all of it.
 
     proposed: log_weight is that of their probability. known: candidates that are followed, and the probability of all
     of them. What images say of a place that is followed already is counted once.
@@ -235,8 +235,6 @@ def beyond(proposed: Candidates, known: Candidates | None, probability: float) -
         gained = np.maximum(found - np.bincount(cell[len(mass) :], before, minlength=cells), 0.0)
         mass = mass * (gained / np.maximum(found, 1e-300))[here]
     more = mass > 0
-    if not more.any():
-        return None, 0.0
     chosen = proposed.only(more)
     particles = replace(chosen.particles, log_weight=np.log(mass[more]))
     return replace(chosen, particles=particles), float(mass.sum())
