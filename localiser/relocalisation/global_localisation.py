@@ -61,12 +61,6 @@ class Region:
     low: Array
     high: Array
 
-    @classmethod
-    def around(cls, points: Array) -> Region:
-        """Return every heading in the rectangle around points (L, 2), wider by `BESIDE_MAP_M` on every side."""
-        low, high = points.min(axis=0) - BESIDE_MAP_M, points.max(axis=0) + BESIDE_MAP_M
-        return cls(np.append(low, -np.pi), np.append(high, np.pi))
-
     @property
     def log_density(self) -> float:
         """Logarithm of the prior density inside, per m² rad."""
@@ -96,7 +90,9 @@ class GlobalLocalisation:
         cls, observation: EdgeObservation, landmark_map: LandmarkMap, parameters: SearchParameters | None = None
     ) -> GlobalLocalisation:
         """Return the global localisation on this map; its tables take a second on a large one."""
-        pairs, region = LandmarkPairs.of(landmark_map, observation.parameters), Region.around(landmark_map.points)
+        points, pairs = landmark_map.points, LandmarkPairs.of(landmark_map, observation.parameters)
+        low, high = points.min(axis=0) - BESIDE_MAP_M, points.max(axis=0) + BESIDE_MAP_M
+        region = Region(np.append(low, -np.pi), np.append(high, np.pi))
         return cls(observation, landmark_map, parameters or SearchParameters(), pairs, region)
 
     # -- what an image says of poses ----------------------------------------------------------------------------------
