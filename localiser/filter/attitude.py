@@ -36,11 +36,6 @@ class Attitude:
     mean: Array
     cov: Array
 
-    @classmethod
-    def stated(cls, cov: Array) -> Attitude:
-        """Return what is known before any image: the stated mount, with covariance (2, 2)."""
-        return cls(np.zeros(2), cov)
-
     def after(self, path_m: float, stated_cov: Array) -> Attitude:
         """Return what is known after a way: an Ornstein-Uhlenbeck process about the stated mount."""
         kept = float(np.exp(-path_m / MEMORY_M))
@@ -107,7 +102,7 @@ class Level:
             attitude, novelty = None, 1.0
         elif (camera.mount.tilt_rad, camera.mount.roll_rad) != (self.camera.mount.tilt_rad, self.camera.mount.roll_rad):
             return edges, attitude
-        before = Attitude.stated(stated_cov) if attitude is None else attitude.after(path_m, stated_cov)
+        before = Attitude(np.zeros(2), stated_cov) if attitude is None else attitude.after(path_m, stated_cov)
         ends = camera.image_from_pixels(edges.ends_px)  # to undo a lens's distortion takes long
         now = before.given(edges, ends, camera, self.plumb_sigma_rad, novelty)
         return now.levelled(edges, ends, camera), now
