@@ -149,8 +149,7 @@ class Belief:
             return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
-            tracked = like if is_tracked else None
-            belief = belief._explored(search, like, tracked, sighting, new, most_effort, move.model, rng)
+            belief = belief._explored(search, like, is_tracked, sighting, new, most_effort, move.model, rng)
         if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.parameters.particles_most) if is_tracked else search.parameters.particles_most
@@ -231,7 +230,7 @@ class Belief:
         self,
         search: GlobalLocalisation,
         like: Particles,
-        tracked: Particles | None,
+        is_tracked: bool,
         sighting: Sighting,
         new: float,
         most_effort: float,
@@ -243,8 +242,8 @@ class Belief:
         new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
         scene in proportion to it, at most `most_effort` each. On a large map they do so when the place is known.
         """
-        is_first = tracked is None and self.elsewhere == 0.0 and self.overlooked == 1.0
-        shares = tracked is not None and (self.is_known or not search.pairs.are_many)
+        is_first = not is_tracked and self.elsewhere == 0.0 and self.overlooked == 1.0
+        shares = is_tracked and (self.is_known or not search.pairs.are_many)
         effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
         proposed, hits = search.proposed(like, sighting, effort, rng)
         overlooked = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
@@ -254,8 +253,8 @@ class Belief:
             overlooked=overlooked * self.overlooked,
             history=replace(self.history, overlooked=self.history.overlooked * overlooked),
         )
-        if tracked is not None:  # poses at the tracked place are no other place
-            proposed = proposed.only(~is_near(proposed.particles.poses, tracked.estimate.pose))
+        if is_tracked:  # poses at the tracked place are no other place
+            proposed = proposed.only(~is_near(proposed.particles.poses, like.estimate.pose))
         if len(proposed):
             late = self.history.weighed(proposed, sighting, search.evidence, motion, rng)
             more, probability = beyond(late, self.candidates, self.elsewhere)
