@@ -296,7 +296,7 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
 
 def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng: np.random.Generator) -> Weighed:
     """Return particles that moved, by the optimal proposal where edges guide them, and are weighed."""
-    inliers, parameters, moved = state.inliers.after(image.novelty), mcl.parameters, None
+    inliers, parameters = state.inliers.after(image.novelty), mcl.parameters
     observation, motion, sighting = mcl.observation, mcl.motion, image.sighting
     is_guided = state.weighed and len(sighting.edges) and image.novelty > 0
     if isinstance(observation, EdgeObservation) and isinstance(motion, MotionParameters) and is_guided:
@@ -313,7 +313,7 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
             parameters.resample_below,
         )
         moved = proposal.moved(cloud, step, last, motion, rng)
-    if moved is None:
+    else:
         moved = mcl.moved(cloud, image.drive.moves, rng)
     visible = None if mcl.search is None else state.belief.landmarks.shown(len(mcl.landmark_map))
     tempering = Tempering(

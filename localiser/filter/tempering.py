@@ -94,7 +94,7 @@ class Tempering:
             coarser_rad = blur_rad
         return Weighed(weighed, self.inliers.given(by_rate, weighed.weight, self.novelty), *of_place)
 
-    def _by_rate(self, moved: Particles, blur_rad: float = 0.0) -> Array:
+    def _by_rate(self, moved: Particles, blur_rad: float) -> Array:
         if isinstance(self.observation, EdgeObservation):
             return self.observation.by_rate(moved, self.sighting, self.landmark_map, blur_rad)
         found = own_log_likelihood(self.observation, moved, self.sighting, self.landmark_map)
