@@ -36,10 +36,8 @@ from localiser.filter import (
     Markers,
     Mcl,
     Odometry,
-    Scene,
     Sighting,
     Start,
-    Wheels,
     finish,
     step,
     track_of,
@@ -285,7 +283,7 @@ class Localiser:
     def forget_wheels(self, t_ns: int) -> None:
         """Take the robot to stand at `t_ns` where it was believed to be: its wheels begin to count anew."""
         self.state.odometry.clear()
-        self.state.at_ns, self.state.seen, self.state.scene, self.state.wheels = t_ns, None, Scene(), Wheels()
+        self.state.begin_at(t_ns)
 
     # -- the state ----------------------------------------------------------------------------------------------------
 

@@ -17,6 +17,4 @@ from localiser.filter.events import (
 from localiser.filter.frames import Finding, Image, LocatedFrame, Markers
 from localiser.filter.mcl import FilterState, Mcl, MclParameters, finish, step
 from localiser.filter.optimal_proposal import warm_up
-from localiser.filter.scene import Scene
-from localiser.filter.wheels import Wheels
 from localiser.observation import Sighting

@@ -138,6 +138,10 @@ class FilterState:
         """Whether there are particles, tracked or at candidate places: a start was stated or an image located."""
         return self.particles is not None or self.belief.candidates is not None
 
+    def begin_at(self, t_ns: int) -> None:
+        """Forget the images before a time, and what is known of the wheels."""
+        self.at_ns, self.seen, self.scene, self.wheels = t_ns, None, Scene(), Wheels()
+
 
 def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -> Iterator[Located]:
     """Take one event and yield what was located: nothing, or one result for every image that odometry now covers."""
@@ -146,13 +150,12 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
             cloud = particles.from_gaussian(event.mean, event.cov, mcl.parameters.start_particles, rng)
             if isinstance(mcl.motion, MotionParameters):
                 cloud = mcl.motion.at_start(cloud, rng)
-            state.particles = cloud
-            state.at_ns, state.weighed, state.seen, state.scene = event.t_ns, False, None, Scene()
-            state.wheels = Wheels()
+            state.begin_at(event.t_ns)
+            state.particles, state.weighed = cloud, False
             state.belief = Belief.unjudged() if mcl.search is None else Belief.stated()
         case Anywhere():
-            state.particles, state.at_ns, state.weighed, state.seen = None, event.t_ns, False, None
-            state.scene, state.wheels, state.pace, state.belief = Scene(), Wheels(), None, Belief.anywhere()
+            state.begin_at(event.t_ns)
+            state.particles, state.weighed, state.pace, state.belief = None, False, None, Belief.anywhere()
         case Odometry():
             state.odometry.append(event)
         case Sighting():
