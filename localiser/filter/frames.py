@@ -60,7 +60,7 @@ class Markers:
 
     def after(self, located: Located, landmark_map: LandmarkMap) -> None:
         """Take one image."""
-        edges = located.edges if located.sighting is None else located.sighting.edges
+        edges = located.edges
         if located.p_correct <= SURE or not (edges.landmark_id < -1).any():
             return
         landmark = marked_landmarks(edges, landmark_map)
