@@ -263,12 +263,11 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
         state.at_ns = sighting.t_ns
     elif not state.is_begun or sighting.t_ns < state.at_ns:
         raise ValueError("an image came before any start pose")
-    motion, seen = mcl.motion, state.seen
-    delay_s = motion.bias.delay_sigma_s if isinstance(motion, MotionParameters) else 0.0
+    delay_s = mcl.motion.bias.delay_sigma_s if isinstance(mcl.motion, MotionParameters) else 0.0
     moves, odometry_pose, jumped = moves_between(state.odometry, state.at_ns, sighting.t_ns, delay_s)
     increment, seconds = reduce(Increment.then, moves), (sighting.t_ns - state.at_ns) / 1e9
     if mcl.odometer is not None and mcl.odometer.parameters.source == "vision" and seconds > 0:
-        before = None if seen is None else seen.edges
+        before = None if state.seen is None else state.seen.edges
         pace = state.wheels.pace if state.pace is None else state.pace
         moved, state.pace = mcl.odometer.motion(before, sighting.edges, seconds, pace)
         increment = increment_of(with_scale(moved, walks=True))
