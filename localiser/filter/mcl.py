@@ -307,13 +307,8 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
         step = motion.expected_step(cloud, last)
         ahead, axes = Particles(POSE, step.poses, cloud.log_weight).estimate, step.axes.mean(axis=2)
         found = observation.associate(ahead.pose, sighting, mcl.landmark_map, ahead.cov + axes @ axes.T)
-        proposal = OptimalProposal(
-            observation.camera.at(sighting.edges.mount),
-            found.targets(inliers.mean),
-            image.novelty,
-            parameters.stage_below,
-            parameters.resample_below,
-        )
+        camera, targets = found.frame.camera, found.targets(inliers.mean)
+        proposal = OptimalProposal(camera, targets, image.novelty, parameters.stage_below, parameters.resample_below)
         moved = proposal.moved(cloud, step, last, motion, rng)
     else:
         moved = mcl.moved(cloud, image.drive.moves, rng)
