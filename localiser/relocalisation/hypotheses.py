@@ -24,8 +24,7 @@ from localiser.observation import (
     ends_lower_first,
     marked_landmarks,
 )
-
-Indices = NDArray[np.int64]
+from localiser.particles import Indices
 
 BOTTOM_STEP_M = 0.05  # landmarks whose lower ends differ by less are searched together
 MANY_PAIRS = 400_000  # beyond which an image can try but a small part of what it may be
