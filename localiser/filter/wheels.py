@@ -117,11 +117,10 @@ def contradicts(wheels: Gaussian, seen: Gaussian, expected: Gaussian) -> float:
     seen: the motion by the edges and the `expected` one, so that p(edges | motion) is their ratio. A few motions that
     are seen are far off (`ASTRAY`), so edges can say only so much against the wheels.
     """
-    at_seen, at_wheels = (
-        np.append(each.mean[:2], expected.mean[2] + wrap_angle(each.mean[2] - expected.mean[2]))
+    seen, wheels = (
+        replace(each, mean=np.append(each.mean[:2], expected.mean[2] + wrap_angle(each.mean[2] - expected.mean[2])))
         for each in (seen, wheels)
     )
-    seen, wheels = replace(seen, mean=at_seen), replace(wheels, mean=at_wheels)
     of_seen, of_wheels, of_pace = (np.linalg.inv(each.cov) for each in (seen, wheels, expected))
     information = of_seen + of_wheels - of_pace
     if np.linalg.eigvalsh(information)[0] <= 0.0:  # edges tell less than the pace
