@@ -1,6 +1,6 @@
 """The particle filter: Monte Carlo localisation and what it believes."""
 
-from localiser.filter.attitude import MOUNT, Attitude, Level
+from localiser.filter.attitude import Attitude, Level
 from localiser.filter.events import (
     CORRECT_M,
     CORRECT_RAD,

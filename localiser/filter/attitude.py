@@ -26,6 +26,7 @@ from localiser.observation import at_border
 
 MEMORY_M = 100.0  # way after which what was learnt of tilt and roll is forgotten
 MOUNT = ("tilt", "roll")
+_OF_MOUNT = slice(len(MOUNT))  # those of the common errors of edges
 _LEAST_SIGMA_RAD = np.deg2rad(0.1)  # of a prior that can be taken back
 
 
@@ -47,7 +48,7 @@ class Attitude:
         ends: (E, 2, 2) of the edges in image coordinates. camera: as it was mounted then. plumb_sigma_rad: how far real
         edges are from plumb.
         """
-        prior_sigma = np.maximum(np.sqrt(np.diag(_of_attitude(edges.common.cov))), _LEAST_SIGMA_RAD)
+        prior_sigma = np.maximum(np.sqrt(np.diag(edges.common.cov)[_OF_MOUNT]), _LEAST_SIGMA_RAD)
         image = mount_error_of_edges(edges, ends, camera, prior_sigma, plumb_sigma_rad, lens_sigma=0.0)
         # What the image tells beside the prior, which counts once and not with every image.
         certain = np.linalg.inv(image.cov)
@@ -61,15 +62,14 @@ class Attitude:
 
         ends, camera: as for `given`.
         """
-        common, known = edges.common, len(MOUNT)
-        bearing = edges.bearing + common.bearing_from_line[:, :known] @ self.mean
-        lean = edges.lean
+        common, lean = edges.common, edges.lean
+        bearing = edges.bearing + common.bearing_from_line[:, _OF_MOUNT] @ self.mean
         if camera.mount.tilt_rad != 0:  # else a lean tells no bearing
-            lean = lean + common.bearing_from_lean[:, :known] @ self.mean / geometry.bearing_per_lean(
+            lean = lean + common.bearing_from_lean[:, _OF_MOUNT] @ self.mean / geometry.bearing_per_lean(
                 edges.bearing, camera.mount.tilt_rad
             )
         cov = common.cov.copy()
-        cov[:known, :known] = self.cov
+        cov[_OF_MOUNT, _OF_MOUNT] = self.cov
         mount, (tilt, roll) = camera.mount, self.mean.tolist()
         turned = camera.with_mount(tilt_rad=mount.tilt_rad + tilt, roll_rad=mount.roll_rad + roll)
         rays = np.concatenate([ends, -np.ones_like(ends[..., :1])], axis=-1)
@@ -94,9 +94,9 @@ class Level:
         attitude: what was known at the last image. Edges of which it is not known what the mount does to them stay as
         they are.
         """
-        if edges.common.names[: len(MOUNT)] != MOUNT or not np.isfinite(edges.ends_px).all():
+        if edges.common.names[_OF_MOUNT] != MOUNT or not np.isfinite(edges.ends_px).all():
             return edges, attitude
-        stated_cov, camera = _of_attitude(edges.common.cov), self.camera.at(edges.mount)
+        stated_cov, camera = edges.common.cov[_OF_MOUNT, _OF_MOUNT], self.camera.at(edges.mount)
         sigma = camera.mount.sigma  # of what was measured for this image: its error tells nothing of the next one's
         if sigma is not None and not (sigma.tilt_rad is None and sigma.roll_rad is None):
             attitude, novelty = None, 1.0
@@ -106,8 +106,3 @@ class Level:
         ends = camera.image_from_pixels(edges.ends_px)  # to undo a lens's distortion takes long
         now = before.given(edges, ends, camera, self.plumb_sigma_rad, novelty)
         return now.levelled(edges, ends, camera), now
-
-
-def _of_attitude(cov: Array) -> Array:
-    """Return the part (2, 2) of a covariance of common errors that is of tilt and roll."""
-    return cov[: len(MOUNT), : len(MOUNT)]

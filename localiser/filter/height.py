@@ -38,7 +38,6 @@ HEIGHT_POWER = 0.6  # of the likelihood: edges of an image err together
 # From how many sigmas on an offset is used instead of what is stated, and how many contradict that.
 _USED, _SIGMAS = 1.0, 3.0
 
-
 _STATED: Array = np.exp(-0.5 * (OFFSETS_M / STATED_SIGMA_M) ** 2)
 _STATED /= _STATED.sum()
 _APART_M: Array = OFFSETS_M[:, None] - OFFSETS_M
