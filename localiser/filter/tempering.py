@@ -42,8 +42,8 @@ class Weighed:
     particles: Particles
     inliers: InlierRate
     before: Particles
-    by_rate: Array | None = None
-    shown_by_rate: Array | None = None
+    by_rate: Array | None
+    shown_by_rate: Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,17 +78,14 @@ class Tempering:
                 log_likelihood = self.inliers.log_mean(by_rate)
                 if coarser_rad is not None:  # which the particles have been weighed by already
                     log_likelihood = log_likelihood - self.inliers.log_mean(self._by_rate(moved, coarser_rad))
-                taken = left
-                if stage < MOST_STAGES - 1:
-                    fewest = self.stage_below * len(moved)
-                    taken = particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
+                fewest = self.stage_below * len(moved) if stage < MOST_STAGES - 1 else 0.0
+                taken = particles.largest_step(moved.log_weight, log_likelihood, left, fewest)
                 weighed = replace(moved, log_weight=moved.log_weight + taken * log_likelihood)
                 left -= taken
                 if left <= 0 and blur_rad == 0:
                     break
-                moved = particles.spread(
-                    particles.take(weighed, systematic_resample(weighed.weight, len(weighed), rng)), rng
-                )
+                index = systematic_resample(weighed.weight, len(weighed), rng)
+                moved = particles.spread(particles.take(weighed, index), rng)
                 if left <= 0:
                     break
             coarser_rad = blur_rad
