@@ -246,13 +246,10 @@ class Belief:
         shares = is_tracked and (self.is_known or not search.pairs.are_many)
         effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
         proposed, hits = search.proposed(like, sighting, effort, rng)
-        overlooked = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
-        belief = replace(
-            self,
-            unexplored=overlooked * self.unexplored,
-            overlooked=overlooked * self.overlooked,
-            history=replace(self.history, overlooked=self.history.overlooked * overlooked),
-        )
+        missed = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
+        history = replace(self.history, overlooked=missed * self.history.overlooked)
+        unexplored, overlooked = missed * self.unexplored, missed * self.overlooked
+        belief = replace(self, unexplored=unexplored, overlooked=overlooked, history=history)
         if is_tracked:  # poses at the tracked place are no other place
             proposed = proposed.only(~is_near(proposed.particles.poses, like.estimate.pose))
         if len(proposed):
