@@ -324,16 +324,8 @@ class Belief:
     def released(self, cloud: Particles, maps: int = 1) -> Belief:
         """Return the belief in which the particles that were tracked are candidates. maps: as for `found`."""
         belief = self._with(Candidates.of(cloud, self.detections), self.here)
-        unknown = DetectionRate.unknown()
-        return replace(
-            belief,
-            tracked=0.0,
-            unmapped=0.0,
-            detections=unknown,
-            shown=unknown,
-            is_known=False,
-            landmarks=self.landmarks.elsewhere(maps),
-        )
+        belief = replace(belief, tracked=0.0, unmapped=0.0, is_known=False, landmarks=self.landmarks.elsewhere(maps))
+        return replace(belief, detections=DetectionRate.unknown(), shown=DetectionRate.unknown())
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
         """Return the particles that the estimate is from, the estimate, and all places where the robot may be.
