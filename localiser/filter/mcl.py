@@ -298,9 +298,9 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
 
 def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng: np.random.Generator) -> Weighed:
     """Return particles that moved, by the optimal proposal where edges guide them, and are weighed."""
-    inliers, parameters = state.inliers.after(image.novelty), mcl.parameters
+    inliers, novelty, parameters = state.inliers.after(image.novelty), image.novelty, mcl.parameters
     observation, motion, sighting = mcl.observation, mcl.motion, image.sighting
-    is_guided = state.weighed and len(sighting.edges) and image.novelty > 0
+    is_guided = state.weighed and len(sighting.edges) and novelty > 0
     if isinstance(observation, EdgeObservation) and isinstance(motion, MotionParameters) and is_guided:
         *earlier, last = image.drive.moves
         cloud = mcl.moved(cloud, earlier, rng)
@@ -308,14 +308,12 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
         ahead, axes = Particles(POSE, step.poses, cloud.log_weight).estimate, step.axes.mean(axis=2)
         found = observation.associate(ahead.pose, sighting, mcl.landmark_map, ahead.cov + axes @ axes.T)
         camera, targets = found.frame.camera, found.targets(inliers.mean)
-        proposal = OptimalProposal(camera, targets, image.novelty, parameters.stage_below, parameters.resample_below)
+        proposal = OptimalProposal(camera, targets, novelty, parameters.stage_below, parameters.resample_below)
         moved = proposal.moved(cloud, step, last, motion, rng)
     else:
         moved = mcl.moved(cloud, image.drive.moves, rng)
     visible = None if mcl.search is None else state.belief.landmarks.shown(len(mcl.landmark_map))
-    tempering = Tempering(
-        observation, mcl.landmark_map, sighting, inliers, image.novelty, parameters.stage_below, visible
-    )
+    tempering = Tempering(observation, mcl.landmark_map, sighting, inliers, novelty, parameters.stage_below, visible)
     return tempering.weighed(moved, not state.weighed, rng)
 
 
