@@ -15,13 +15,11 @@ from localiser import particles
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
 from localiser.observation import (
-    DETECTION_RATES,
     INLIER_RATES,
     EdgeObservation,
     InlierRate,
     Observation,
     Sighting,
-    View,
     own_log_likelihood,
 )
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
@@ -102,7 +100,7 @@ class Tempering:
         few = particles.thinned(moved, FEW_JUDGED)
         if not isinstance(self.observation, EdgeObservation) or self.visible is None:
             return few, None, None
-        views = [View(DETECTION_RATES, False, self.sighting.scene, visible) for visible in (None, self.visible)]
+        views = np.stack([np.ones_like(self.visible), self.visible])
         by_rate, shown = self.observation.by_views(few, self.sighting, self.landmark_map, views, BLUR_RAD)
         return few, by_rate, shown
 

@@ -10,7 +10,6 @@ number of threads share the work.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -36,24 +35,9 @@ _PER_CELL = 32  # particles, at least, if they were spread evenly
 _SMALLEST = 1e-6  # m, m, rad
 _LARGEST_M = 4.0  # side of a cell of a cloud that is spread over a building
 _MOST_CELLS = 1 << 18  # of such a cloud, most of them empty
-_LANES, _VIEWS = 8, 2  # rates of a view, and views, at most: `likelihood_kernel`
+_VIEWS = 2  # at most: `likelihood_kernel`
 _PER_THREAD = 4096  # particles, below which another thread is not worth its start
 _PART = 16384  # particles weighed by one thread at a time: poses and results stay in the second cache
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """One of the questions that a particle's edges answer at once, see `likelihood_kernel.log_products`.
-
-    rates: (K,) ascending, at most 8. of_edges: whether these are inlier rates, else detection rates. clutter: (E,) how
-    dense clutter is at each edge; None: as dense everywhere. visibility: (L,) probability that a landmark in view is
-    not hidden; None: none is.
-    """
-
-    rates: Array
-    of_edges: bool
-    clutter: Array | None = None
-    visibility: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +68,8 @@ class EdgeObservation:
 
         blur_rad: sigma of the compared angle that is added to every edge's own.
         """
-        view = View(INLIER_RATES, True, sighting.persistent)
-        return self.by_views(particles, sighting, landmark_map, [view], blur_rad)[0]
+        every = np.ones((1, len(landmark_map)))
+        return np.asarray(self.by_views(particles, sighting, landmark_map, every, blur_rad, of_edges=True)[0])
 
     def by_detection_rate(
         self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
@@ -95,38 +79,38 @@ class EdgeObservation:
         The edges are a Poisson process, see `likelihood_kernel.log_products`: a pose that sees no landmark explains
         them as well as clutter does. Clutter is that of the scene.
         """
-        view = View(DETECTION_RATES, False, sighting.scene)
-        return self.by_views(particles, sighting, landmark_map, [view], blur_rad)[0]
+        every = np.ones((1, len(landmark_map)))
+        return np.asarray(self.by_views(particles, sighting, landmark_map, every, blur_rad)[0])
 
     def by_views(
         self,
         particles: Particles,
         sighting: Sighting,
         landmark_map: LandmarkMap,
-        views: Sequence[View],
+        visibility: Array,
         blur_rad: float = 0.0,
-    ) -> list[Array]:
-        """Return log p(edges | particle, rate_k) (K, N) in each view, in little more time than in one."""
+        *,
+        of_edges: bool = False,
+    ) -> Array:
+        """Return log p(edges | particle, rate_k) (V, K, N) in V views, in little more time than in one.
+
+        visibility: (V, L) probability that a landmark in view is not hidden, at most two views. of_edges: by inlier
+        rates, clutter being that of the last image; else by detection rates, clutter being that of the scene.
+        """
         frame, count = self.frame(sighting.edges), particles.columns.shape[1]
         if not len(frame.edges.bearing):
-            return [np.zeros((len(view.rates), count)) for view in views]
+            return np.zeros((len(visibility), len(INLIER_RATES), count))
+        if len(visibility) > _VIEWS:
+            raise ValueError(f"expected at most {_VIEWS} views, found {len(visibility)}")
         threads, poses = self.parameters.threads, poses_of(particles)
         by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map, blur_rad)
         offset, _, landmarks, rows = inputs[:4]
         farthest_m, widest = frame.far.range_max_m, frame.sight[1][3]
         reach = reach_of(landmark_map, farthest_m)
-        if len(views) > _VIEWS:
-            raise ValueError(f"expected at most {_VIEWS} views, found {len(views)}")
-        each, odds = np.zeros((len(views), 2), dtype=np.int64), np.zeros((len(views), _LANES))
-        visibility, rare = np.ones((len(views), len(landmarks))), np.ones((len(views), len(rows)))
-        for row, view in enumerate(views):
-            each[row] = len(view.rates), view.of_edges
-            odds[row, : len(view.rates)] = view.rates / (1.0 - view.rates if view.of_edges else len(rows))
-            if view.clutter is not None:
-                rare[row] = 1.0 / view.clutter[by_angle]
-            if view.visibility is not None:
-                visibility[row] = view.visibility
-        result = np.empty((len(views), odds.shape[1], count))
+        odds = INLIER_RATES / (1.0 - INLIER_RATES) if of_edges else DETECTION_RATES / len(rows)
+        clutter = sighting.persistent if of_edges else sighting.scene
+        rare = np.ones(len(rows)) if clutter is None else 1.0 / clutter[by_angle]
+        result = np.empty((len(visibility), len(odds), count))
 
         in_cells, in_view = entry(in_cells_loop), entry(in_view_of_cells_loop)
 
@@ -143,7 +127,9 @@ class EdgeObservation:
             run, order, low, per_unit, shape = in_cells(some, by_heading)
             half_view_rad = float(np.arctan(widest) + np.abs(some[:, 3]).max())
             start, item = in_view(run, low, per_unit, shape, offset, landmarks, half_view_rad, farthest_m, reach)
-            result[..., part] = kernel.log_products(some, order, run, start, item, visibility, odds, each, rare, inputs)
+            result[..., part] = kernel.log_products(
+                some, order, run, start, item, visibility, odds, of_edges, rare, inputs
+            )
 
         size = min(max(-(-count // threads), _PER_THREAD), _PART)
         parts = [slice(begin, begin + size) for begin in range(0, count, size)]
@@ -153,7 +139,7 @@ class EdgeObservation:
         else:
             with ThreadPoolExecutor(min(threads, len(parts))) as pool:
                 list(pool.map(weigh, parts))
-        return [found[: len(view.rates)] for found, view in zip(result, views, strict=True)]
+        return result
 
     def warm_up(self) -> None:
         """Compile what compares edges, or load it from the disk, so that no frame has to wait for it."""

@@ -23,7 +23,7 @@ Indices = NDArray[np.int64]
 LANES = 8  # float64 in a vector register
 LEAST_VECTORS = 2  # vectors, for which a vector loop is entered
 BLOCK = 64  # particles looked at together
-VIEWS = 2  # at most
+VIEWS, RATES = 2, 6  # views at most, and rates of a view
 UNKNOWN_M = 1e8  # heights beyond this are not known
 SAFE = 1e150  # a product is put aside when it grows beyond
 
@@ -252,7 +252,7 @@ def _add_up(e: int, k: int, visibility: Array, block: Array, lanes: int, density
 
 @inlined
 def _multiply(
-    density: Array, scale: Any, block: Array, lanes: int, odds: Array, rates: int, factor: Array, log_factor: Array
+    density: Array, scale: Any, block: Array, lanes: int, odds: Array, factor: Array, log_factor: Array
 ) -> None:
     """Multiply the factors by 1 + odds · ratio of one edge, and put large ones aside.
 
@@ -265,15 +265,15 @@ def _multiply(
     if is_shared:
         for m in range(lanes):
             block[_RATIO, m] *= block[_SCALE, m]
-    for k in range(rates):
+    for k in range(RATES):
         for m in range(lanes):
             factor[k, m] *= 1.0 + odds[k] * block[_RATIO, m]
     large = 0
     for m in range(lanes):
-        large += factor[rates - 1, m] > SAFE
+        large += factor[RATES - 1, m] > SAFE
     if large > 0:
         for m in range(lanes):
-            if factor[rates - 1, m] > SAFE:
+            if factor[RATES - 1, m] > SAFE:
                 _put_aside(factor, m, log_factor)
 
 
@@ -294,7 +294,7 @@ def _begin(block: Array, density: Array, is_near: NDArray[np.bool_]) -> None:
 @inlined
 def _put_aside(factor: Array, m: int, log_factor: Array) -> None:
     """Make column m 1, and add its logarithms to those put aside."""
-    for k in range(LANES):
+    for k in range(RATES):
         log_factor[k, m] += np.log(factor[k, m])
         factor[k, m] = 1.0
 
@@ -327,11 +327,11 @@ def log_products(
     item: NDArray[np.int32],
     visibility: Array,
     odds: Array,
-    views: Indices,
+    is_inlier_rate: bool,
     rare: Array,
     inputs: Any,
 ) -> Array:
-    """Return the log-likelihood (V, LANES, N) in V views of every pose (N, 4), relative to clutter.
+    """Return the log-likelihood (V, RATES, N) in V views of every pose (N, 4), relative to clutter.
 
     The pose has n landmarks in view. With d_e = span Σ_l c_el N(q_e; q_l, σ_el²) / clutter_e, an edge's density
     relative to clutter, which only edges have that some landmark comes near, it is
@@ -342,15 +342,14 @@ def log_products(
     where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it. An
     edge of known identity belongs to that landmark or is clutter: n is 1 for it at inlier rates.
 
-    inputs: the image and the map, see `association.kernel_inputs`. visibility: (V, L) this probability. odds:
-    (V, LANES) o_k of ascending rates. views: (V, 2) of each view how many rates it has, and whether they are inlier
-    rates. rare: (V, E) 1 / clutter_e.
+    inputs: the image and the map, see `association.kernel_inputs`. visibility: (V, L) this probability. odds: (RATES,)
+    o_k of ascending rates. rare: (E,) 1 / clutter_e.
     """
     offset, (height_m, map_scale), landmarks, edges, first, bins, camera, limits, gate, ends, span, is_slope = inputs
     block = np.ones((_SEEN + VIEWS, BLOCK))
     density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
-    factor, log_factor, mantissa = np.ones((LANES, BLOCK)), np.zeros((LANES, BLOCK)), np.ones(LANES * BLOCK)
-    result, per_density = np.zeros((len(views), LANES, len(poses))), span / np.sqrt(2 * np.pi)
+    factor, log_factor, mantissa = np.ones((RATES, BLOCK)), np.zeros((RATES, BLOCK)), np.ones(RATES * BLOCK)
+    result, per_density = np.empty((len(visibility), RATES, len(poses))), span / np.sqrt(2 * np.pi)
     log_unseen = np.log1p(odds)  # at inlier rates
     for c in range(len(run) - 1):
         for n in range(run[c], run[c + 1], BLOCK):
@@ -374,22 +373,19 @@ def log_products(
                         _add_up(e, k, visibility, block, lanes, density)
                         is_near[e] = True
 
-            for view in range(len(views)):
-                rates, is_inlier_rate = views[view]
+            for view in range(len(visibility)):
                 for m in range(BLOCK):
                     block[_SCALE, m] = 1.0 / max(block[_SEEN + view, m], 1.0)
                 factor[:], log_factor[:] = 1.0, 0.0
                 for e in range(len(edges)):
                     if is_near[e]:
-                        scale = per_density * rare[view, e], is_inlier_rate > 0 and edges[e, _IDENTITY] < 0
-                        _multiply(density[view, e], scale, block, lanes, odds[view], rates, factor, log_factor)
+                        scale = per_density * rare[e], is_inlier_rate and edges[e, _IDENTITY] < 0
+                        _multiply(density[view, e], scale, block, lanes, odds, factor, log_factor)
                 values = factor.ravel()
                 _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
-                for k in range(rates):
+                for k in range(RATES):
                     for m in range(size):
-                        unseen = (
-                            log_unseen[view, k] if is_inlier_rate else np.log1p(odds[view, k] * block[_SEEN + view, m])
-                        )
+                        unseen = log_unseen[k] if is_inlier_rate else np.log1p(odds[k] * block[_SEEN + view, m])
                         result[view, k, order[n + m]] = log_factor[k, m] - len(edges) * unseen
     return result
 

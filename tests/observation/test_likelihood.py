@@ -12,7 +12,7 @@ from localiser.camera import Camera, Mount
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, SightParameters, in_camera, sight
-from localiser.observation import DETECTION_RATES, INLIER_RATES, EdgeObservation, ObservationParameters, Sighting, View
+from localiser.observation import DETECTION_RATES, INLIER_RATES, EdgeObservation, ObservationParameters, Sighting
 from localiser.observation.frame import bins_of
 from localiser.particles import POSE, Particles
 
@@ -271,12 +271,11 @@ def test_a_hidden_landmark_counts_for_the_probability_of_being_visible(kind: str
     landmark_map, particles, sighting = some_map(rng, 40), cloud(rng, 200), Sighting(0, some_edges(rng, 12, True))
 
     def by_rate(visibility: Array | None = None, of: LandmarkMap = landmark_map) -> Array:
-        view = View(DETECTION_RATES, False, visibility=visibility)
-        for other in (View(INLIER_RATES, True), View(DETECTION_RATES, False, rng.uniform(1, 30, 12))):
-            together = observation.by_views(particles, sighting, of, [view, other], 0.004)
-            for each, found in zip([view, other], together, strict=True):  # each is weighed as if alone
-                (alone,) = observation.by_views(particles, sighting, of, [each], 0.004)
-                np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-12)
+        views = np.stack([np.ones(len(of)) if visibility is None else visibility, rng.random(len(of))])
+        together = observation.by_views(particles, sighting, of, views, 0.004)
+        for each, found in zip(views, together, strict=True):  # each is weighed as if alone
+            (alone,) = observation.by_views(particles, sighting, of, each[None], 0.004)
+            np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-12)
         return together[0]
 
     everything, hidden = by_rate(), rng.random(40) < 0.5

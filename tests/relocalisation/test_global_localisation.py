@@ -17,7 +17,7 @@ from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
-from localiser.observation import DETECTION_RATES, EdgeObservation, InlierRate, ObservationParameters, View
+from localiser.observation import DETECTION_RATES, EdgeObservation, InlierRate, ObservationParameters
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, cells_of, find_clusters
 from localiser.relocalisation import Candidates, History
 from localiser.relocalisation.global_localisation import FEWEST_EDGES, GlobalLocalisation, SearchParameters
@@ -192,7 +192,7 @@ def after(
     still, found = Move(Increment.from_mean(np.zeros(3)), MotionParameters(), lambda cloud: cloud), None
     if few is not None:
         shown = belief.landmarks.shown(len(search.landmark_map))
-        views = [View(DETECTION_RATES, False, sighting.scene, visibility) for visibility in (None, shown)]
+        views = np.stack([np.ones_like(shown), shown])
         by_rate = search.observation.by_views(few, sighting, search.landmark_map, views)
         found = Weighed(few, InlierRate.unknown(), few, *by_rate)
     return belief.after(search, found, like, sighting, jump, still, np.random.default_rng(0))
