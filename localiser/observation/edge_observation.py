@@ -35,7 +35,6 @@ _PER_CELL = 32  # particles, at least, if they were spread evenly
 _SMALLEST = 1e-6  # m, m, rad
 _LARGEST_M = 4.0  # side of a cell of a cloud that is spread over a building
 _MOST_CELLS = 1 << 18  # of such a cloud, most of them empty
-_VIEWS = 2  # at most: `likelihood_kernel`
 _PER_THREAD = 4096  # particles, below which another thread is not worth its start
 _PART = 16384  # particles weighed by one thread at a time: poses and results stay in the second cache
 
@@ -94,14 +93,12 @@ class EdgeObservation:
     ) -> Array:
         """Return log p(edges | particle, rate_k) (V, K, N) in V views, in little more time than in one.
 
-        visibility: (V, L) probability that a landmark in view is not hidden, at most two views. of_edges: by inlier
-        rates, clutter being that of the last image; else by detection rates, clutter being that of the scene.
+        visibility: (V, L) probability that a landmark in view is not hidden. of_edges: by inlier rates, clutter being
+        that of the last image; else by detection rates, clutter being that of the scene.
         """
         frame, count = self.frame(sighting.edges), particles.columns.shape[1]
         if not len(frame.edges.bearing):
             return np.zeros((len(visibility), len(INLIER_RATES), count))
-        if len(visibility) > _VIEWS:
-            raise ValueError(f"expected at most {_VIEWS} views, found {len(visibility)}")
         threads, poses = self.parameters.threads, poses_of(particles)
         by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map, blur_rad)
         offset, _, landmarks, rows = inputs[:4]

@@ -23,7 +23,7 @@ Indices = NDArray[np.int64]
 LANES = 8  # float64 in a vector register
 LEAST_VECTORS = 2  # vectors, for which a vector loop is entered
 BLOCK = 64  # particles looked at together
-VIEWS, RATES = 2, 6  # views at most, and rates of a view
+RATES = 6  # of each view
 UNKNOWN_M = 1e8  # heights beyond this are not known
 SAFE = 1e150  # a product is put aside when it grows beyond
 
@@ -41,7 +41,7 @@ _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SCALE = range(6, 14)
 _RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _AT_FOOT, _AT_TOP, _DENSITY, _RATIO = range(14, 22)
 _OPEN = 22
-_SEEN = 23  # for each of `VIEWS`
+_SEEN = 23  # and below, for each view
 # Columns of edges.
 _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PEAK_HIGH = range(9)
 _PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _IDENTITY = range(9, 13)
@@ -346,7 +346,7 @@ def log_products(
     o_k of ascending rates. rare: (E,) 1 / clutter_e.
     """
     offset, (height_m, map_scale), landmarks, edges, first, bins, camera, limits, gate, ends, span, is_slope = inputs
-    block = np.ones((_SEEN + VIEWS, BLOCK))
+    block = np.ones((_SEEN + len(visibility), BLOCK))
     density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
     factor, log_factor, mantissa = np.ones((RATES, BLOCK)), np.zeros((RATES, BLOCK)), np.ones(RATES * BLOCK)
     result, per_density = np.empty((len(visibility), RATES, len(poses))), span / np.sqrt(2 * np.pi)
@@ -406,7 +406,7 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
     item: landmarks to look at. inputs: as for `log_products`.
     """
     offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = inputs
-    block, poses = np.ones((_SEEN + VIEWS, 2)), np.zeros((2, 4))
+    block, poses = np.ones((_SEEN, 2)), np.zeros((2, 4))
     poses[:, :3] = pose
     seen, pairs = np.empty((len(item), 6)), np.empty((len(item) * len(edges), 5))
     shown, used, in_view, per_density = 0, 0, 0.0, span / np.sqrt(2 * np.pi)
