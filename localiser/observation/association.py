@@ -8,66 +8,19 @@ How far the map errs and how high the camera sits are told by the same rows.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.geometry import Array
-from localiser.geometry.compiled import entry
-from localiser.landmarks import LandmarkMap, image_heights, in_camera, in_view_of_cells_loop, kept_with, reach_of
-from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame, Indices
+from localiser.landmarks import LandmarkMap, image_heights, in_camera
+from localiser.observation.frame import Frame, Indices
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.sighting import Matches, Sighting, Targets
-from localiser.particles import CAMERA_YAW, Particles
 
-INPUTS = 8  # of loops that are kept: an image is asked for some ten times, with two blurs
 SETTLED = 0.9  # probability of belonging to its landmark from which on an edge is a target of the optimal proposal
 BESIDE_M = 0.15  # landmarks stand at most so far from where the map has them
-_CELL, _ONE_RUN, _ONE_CELL = 1e-6, np.array([0, 1]), np.ones(3, dtype=np.int64)  # m or rad: one pose
 _SHOWN = 0.5  # probability of being in the open from which on a landmark is told to be visible
-
-
-def poses_of(particles: Particles) -> Array:
-    """Return the poses (N, 4) of particles, each with the yaw of its camera on the mount."""
-    poses = np.zeros((particles.columns.shape[1], 4))
-    poses[:, :3] = particles.columns[:3].T
-    if CAMERA_YAW in particles.names:
-        poses[:, 3] = particles[CAMERA_YAW]
-    return poses
-
-
-@lru_cache(INPUTS)
-def kernel_inputs(
-    frame: Frame, map_scale: float, landmark_map: LandmarkMap, blur_rad: float = 0.0
-) -> tuple[Indices, tuple[Any, ...]]:
-    """Return which edge (E,) is in each row, and how `likelihood_kernel` takes the camera, landmarks and edges.
-
-    Landmarks are rows (L, 6): x, z, heights (m), sigma (m) and polarity as the map has them. blur_rad: sigma that is
-    added to every edge's own.
-    """
-
-    def table() -> Array:
-        columns: list[NDArray[Any]] = [landmark_map.points, np.nan_to_num(landmark_map.bottom_m, nan=-UNKNOWN)]
-        columns += [np.nan_to_num(landmark_map.top_m, nan=UNKNOWN), landmark_map.sigma_m(sigma_m)]
-        return np.ascontiguousarray(np.column_stack([*columns, landmark_map.polarity]))
-
-    mount, sigma_m = frame.camera.mount, frame.parameters.landmark_sigma_m
-    rows, by_angle, bins, largest_var = frame.table(landmark_map, blur_rad)
-    return by_angle, (
-        (mount.right_m, mount.back_m, mount.yaw_rad),
-        (mount.height_m, map_scale),
-        kept_with(landmark_map, ("table", sigma_m), table),
-        rows,
-        *bins,
-        *frame.sight,
-        (GATE_SIGMAS, largest_var),
-        (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed),
-        frame.span_rad,
-        frame.parameters.kind == "slope",
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,22 +48,6 @@ class Association:
     residual: Array
     odds: Array
     all_odds: Array
-
-    @classmethod
-    def of(cls, frame: Frame, sighting: Sighting, landmark_map: LandmarkMap, pose: Array, cov: Array) -> Association:
-        """Return how the edges of a sighting compare with what is seen from one pose (3,). cov: (3, 3) of it."""
-        from localiser.observation import likelihood_kernel as kernel
-
-        by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map)
-        offset, _, landmarks = inputs[:3]
-        farthest_m, half_view_rad = frame.far.range_max_m, float(np.arctan(frame.sight[1][3]))
-        reach, low, per_unit = reach_of(landmark_map, farthest_m), pose - 0.5 * _CELL, np.full(3, 1.0 / _CELL)
-        in_view, view = entry(in_view_of_cells_loop), (half_view_rad, farthest_m, reach)
-        _, near = in_view(_ONE_RUN, low, per_unit, _ONE_CELL, offset, landmarks, *view)
-        seen, pairs = kernel.associate(pose, cov, near, inputs)
-        landmark, (pair, row) = seen[:, 0].astype(np.int64), pairs[:, :2].astype(np.int64).T
-        rest = pair, by_angle[row], *pairs[:, 2:].T
-        return cls(frame, sighting, landmark_map, landmark, *seen[:, 1:].T, *rest)
 
     def matches(self) -> Matches:
         """Return the most likely landmark of every edge, whether or not an earlier image showed it too."""

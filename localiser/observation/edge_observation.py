@@ -13,6 +13,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +22,16 @@ from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.geometry.compiled import entry
-from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, reach_of
-from localiser.observation.association import Association, kernel_inputs, poses_of
+from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, kept_with, reach_of
+from localiser.observation.association import Association
 from localiser.observation.clutter import EarlierFrame, scene_clutter
-from localiser.observation.frame import Frame
+from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame, Indices
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import ObservationParameters, Sighting
-from localiser.particles import POSE, Particles
+from localiser.particles import CAMERA_YAW, POSE, Particles
 
 FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
+INPUTS = 8  # of loops that are kept: an image is asked for some ten times, with two blurs
 _CELL = (0.5, 0.5, 2 * np.pi / 32)  # m, m, rad; larger where particles are few
 _PER_CELL = 32  # particles, at least, if they were spread evenly
 _SMALLEST = 1e-6  # m, m, rad
@@ -99,17 +101,15 @@ class EdgeObservation:
         frame, count = self.frame(sighting.edges), particles.columns.shape[1]
         if not len(frame.edges.bearing):
             return np.zeros((len(visibility), len(INLIER_RATES), count))
-        threads, poses = self.parameters.threads, poses_of(particles)
+        poses = np.zeros((count, 4))  # the last column: the yaw of the camera on its mount
+        poses[:, :3] = particles.columns[:3].T
+        if CAMERA_YAW in particles.names:
+            poses[:, 3] = particles[CAMERA_YAW]
         by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map, blur_rad)
-        offset, _, landmarks, rows = inputs[:4]
-        farthest_m, widest = frame.far.range_max_m, frame.sight[1][3]
-        reach = reach_of(landmark_map, farthest_m)
-        odds = INLIER_RATES / (1.0 - INLIER_RATES) if of_edges else DETECTION_RATES / len(rows)
+        odds = INLIER_RATES / (1.0 - INLIER_RATES) if of_edges else DETECTION_RATES / len(by_angle)
         clutter = sighting.persistent if of_edges else sighting.scene
-        rare = np.ones(len(rows)) if clutter is None else 1.0 / clutter[by_angle]
+        rare = np.ones(len(by_angle)) if clutter is None else 1.0 / clutter[by_angle]
         result = np.empty((len(visibility), len(odds), count))
-
-        in_cells, in_view = entry(in_cells_loop), entry(in_view_of_cells_loop)
 
         def weigh(part: slice) -> None:
             """Weigh so few particles that all about them stays in the cache."""
@@ -121,13 +121,10 @@ class EdgeObservation:
             heading = some[:, 2] + some[:, 3]
             low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
             by_heading = np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
-            run, order, low, per_unit, shape = in_cells(some, by_heading)
-            half_view_rad = float(np.arctan(widest) + np.abs(some[:, 3]).max())
-            start, item = in_view(run, low, per_unit, shape, offset, landmarks, half_view_rad, farthest_m, reach)
-            result[..., part] = kernel.log_products(
-                some, order, run, start, item, visibility, odds, of_edges, rare, inputs
-            )
+            cells = in_cells(some, by_heading, frame, landmark_map, inputs)
+            result[..., part] = kernel.log_products(some, *cells, visibility, odds, of_edges, rare, inputs)
 
+        threads = self.parameters.threads
         size = min(max(-(-count // threads), _PER_THREAD), _PART)
         parts = [slice(begin, begin + size) for begin in range(0, count, size)]
         if min(threads, len(parts)) == 1:
@@ -155,8 +152,15 @@ class EdgeObservation:
         self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, cov: Array | None = None
     ) -> Association:
         """Return how the edges compare with the landmarks that are seen from one robot pose (3,). cov: (3, 3) of it."""
-        cov = np.zeros((3, 3)) if cov is None else cov
-        return Association.of(self.frame(sighting.edges), sighting, landmark_map, pose, cov)
+        from localiser.observation import likelihood_kernel as kernel
+
+        frame, cov = self.frame(sighting.edges), np.zeros((3, 3)) if cov is None else cov
+        by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map)
+        *_, near = in_cells(np.append(pose, 0.0)[None], np.arange(1), frame, landmark_map, inputs)
+        seen, pairs = kernel.associate(pose, cov, near, inputs)
+        landmark, (pair, row) = seen[:, 0].astype(np.int64), pairs[:, :2].astype(np.int64).T
+        pair_columns = pair, by_angle[row], *pairs[:, 2:].T
+        return Association(frame, sighting, landmark_map, landmark, *seen[:, 1:].T, *pair_columns)
 
     def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
         """Return two angles (rad), medians over landmarks and edges: the spread of predictions, the measured sigma.
@@ -177,12 +181,56 @@ def _frame(observation: EdgeObservation, edges: Edges) -> Frame:
     return Frame(edges, observation.camera.at(edges.mount), observation.parameters)
 
 
+@lru_cache(INPUTS)
+def kernel_inputs(
+    frame: Frame, map_scale: float, landmark_map: LandmarkMap, blur_rad: float = 0.0
+) -> tuple[Indices, tuple[Any, ...]]:
+    """Return which edge (E,) is in each row, and how `likelihood_kernel` takes the camera, landmarks and edges.
+
+    Landmarks are rows (L, 6): x, z, heights (m), sigma (m) and polarity as the map has them. blur_rad: sigma that is
+    added to every edge's own.
+    """
+
+    def table() -> Array:
+        columns: list[NDArray[Any]] = [landmark_map.points, np.nan_to_num(landmark_map.bottom_m, nan=-UNKNOWN)]
+        columns += [np.nan_to_num(landmark_map.top_m, nan=UNKNOWN), landmark_map.sigma_m(sigma_m)]
+        return np.ascontiguousarray(np.column_stack([*columns, landmark_map.polarity]))
+
+    mount, sigma_m = frame.camera.mount, frame.parameters.landmark_sigma_m
+    rows, by_angle, bins, largest_var = frame.table(landmark_map, blur_rad)
+    return by_angle, (
+        (mount.right_m, mount.back_m, mount.yaw_rad),
+        (mount.height_m, map_scale),
+        kept_with(landmark_map, ("table", sigma_m), table),
+        rows,
+        *bins,
+        *frame.sight,
+        (GATE_SIGMAS, largest_var),
+        (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed),
+        frame.span_rad,
+        frame.parameters.kind == "slope",
+    )
+
+
+def in_cells(
+    poses: Array, sequence: Indices, frame: Frame, landmark_map: LandmarkMap, inputs: tuple[Any, ...]
+) -> tuple[Indices, Indices, Indices, NDArray[np.int32]]:
+    """Return order (N,) and run (cells + 1,) of poses (N, 4), see `in_cells_loop`, and what can be in view from cells.
+
+    These are landmarks: from cell c item[start[c] : start[c + 1]], of start (cells + 1,) and item. inputs: see
+    `kernel_inputs`.
+    """
+    run, order, low, per_unit, shape = entry(in_cells_loop)(poses, sequence)
+    farthest_m, half_view_rad = frame.far.range_max_m, float(np.arctan(frame.sight[1][3]) + np.abs(poses[:, 3]).max())
+    (offset, _, landmarks), in_view = inputs[:3], (half_view_rad, farthest_m, reach_of(landmark_map, farthest_m))
+    start, item = entry(in_view_of_cells_loop)(run, low, per_unit, shape, offset, landmarks, *in_view)
+    return order, run, start, item
+
+
 # -- a loop, for numba to compile --------------------------------------------------------------------------------------
 
 
-def in_cells_loop(
-    poses: Array, sequence: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, NDArray[np.int64]]:
+def in_cells_loop(poses: Array, sequence: Indices) -> tuple[Indices, Indices, Array, Array, Indices]:
     """Return run (cells + 1,) and order (N,): poses (N, 3+) of cell c are order[run[c] : run[c + 1]].
 
     Then, of the cells, the corner (3,), how many are in a unit (3,), and how many there are (3,). They are no larger

@@ -342,8 +342,8 @@ def log_products(
     where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it. An
     edge of known identity belongs to that landmark or is clutter: n is 1 for it at inlier rates.
 
-    inputs: the image and the map, see `association.kernel_inputs`. visibility: (V, L) this probability. odds: (RATES,)
-    o_k of ascending rates. rare: (E,) 1 / clutter_e.
+    inputs: the image and the map, see `edge_observation.kernel_inputs`. visibility: (V, L) this probability. odds:
+    (RATES,) o_k of ascending rates. rare: (E,) 1 / clutter_e.
     """
     offset, (height_m, map_scale), landmarks, edges, first, bins, camera, limits, gate, ends, span, is_slope = inputs
     block = np.ones((_SEEN + len(visibility), BLOCK))
