@@ -5,7 +5,7 @@ Tests compare compiled loops, which repeat a part of it for speed, with these pl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -55,13 +55,9 @@ class SightParameters:
     ] = 5.0
 
     @property
-    def far(self) -> SightParameters:
-        """The same with everything that may be seen down a long corridor."""
-        return replace(self, range_max_m=max(self.range_max_m, self.range_far_m))
-
-    def in_the_open(self, range_m: Array) -> Array:
-        """Return the probability (P,) that no wall hides what is so far away: (range_max_m / range)⁴, at most 1."""
-        return np.asarray(np.minimum(1.0, (self.range_max_m / range_m) ** 2) ** 2)
+    def farthest_m(self) -> float:
+        """How far away landmarks may be seen, down a long corridor too."""
+        return max(self.range_max_m, self.range_far_m)
 
 
 def sight(

@@ -221,8 +221,9 @@ def in_cells(
     `kernel_inputs`.
     """
     run, order, low, per_unit, shape = entry(in_cells_loop)(poses, sequence)
-    farthest_m, half_view_rad = frame.far.range_max_m, float(np.arctan(frame.sight[1][3]) + np.abs(poses[:, 3]).max())
-    (offset, _, landmarks), in_view = inputs[:3], (half_view_rad, farthest_m, reach_of(landmark_map, farthest_m))
+    half_view_rad = float(np.arctan(frame.sight[1][3]) + np.abs(poses[:, 3]).max())
+    (offset, _, landmarks), farthest_m = inputs[:3], frame.parameters.sight.farthest_m
+    in_view = half_view_rad, farthest_m, reach_of(landmark_map, farthest_m)
     start, item = entry(in_view_of_cells_loop)(run, low, per_unit, shape, offset, landmarks, *in_view)
     return order, run, start, item
 

@@ -19,7 +19,7 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, SightParameters, kept_with, widest_tangent
+from localiser.landmarks import LandmarkMap, kept_with, widest_tangent
 from localiser.markers import code_of
 from localiser.observation.sighting import ObservationParameters
 
@@ -182,14 +182,9 @@ class Frame:
         margin = sight.margin_px / camera.focal_px * np.array([-1.0, 1.0, -1.0, 1.0])
         bounds: list[float] = (np.array(camera.upright_bounds) + margin).tolist()
         tilt_rad, shortest = camera.mount.tilt_rad, max(sight.length_min_px, 1e-9) / camera.focal_px
-        widest, farthest_m = float(widest_tangent(camera, sight)), self.far.range_max_m
         image = (float(np.sin(tilt_rad)), float(np.cos(tilt_rad)), *bounds, shortest)
-        return image, (sight.range_min_m**2, farthest_m**2, sight.range_max_m**2, widest)
-
-    @cached_property
-    def far(self) -> SightParameters:
-        """Which landmarks may be seen, down a long corridor too."""
-        return self.parameters.sight.far
+        ranges = sight.range_min_m**2, sight.farthest_m**2, sight.range_max_m**2
+        return image, (*ranges, float(widest_tangent(camera, sight)))
 
     @cached_property
     def clutter(self) -> Array:

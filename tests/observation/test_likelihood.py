@@ -251,8 +251,8 @@ def test_detection_rates_are_a_poisson_process(kind: str) -> None:
     landmark_map, particles = some_map(rng, 40), cloud(rng, 200)
     mount_sees = camera_poses(observation.camera, particles)
     limits = observation.parameters.sight
-    views = sight(observation.camera, mount_sees, landmark_map, limits.far)
-    seen = np.bincount(views.pose, limits.in_the_open(views.range_m), minlength=200)
+    views = sight(observation.camera, mount_sees, landmark_map, replace(limits, range_max_m=limits.farthest_m))
+    seen = np.bincount(views.pose, np.minimum(1.0, limits.range_max_m / views.range_m) ** 4, minlength=200)
     for edges in (some_edges(rng, 1, True), some_edges(rng, 1, False)):
         inlier = observation.by_rate(particles, Sighting(0, edges), landmark_map)[3]
         rate = INLIER_RATES[3]

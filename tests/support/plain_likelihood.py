@@ -1,5 +1,6 @@
 """The likelihood of edges by plain loops over poses, landmarks and edges, written from the equations in docs."""
 
+from dataclasses import replace
 from math import atan, cos, exp, inf, isfinite, pi, sin, sqrt, tan
 
 import numpy as np
@@ -55,7 +56,7 @@ def plain_pairs(
     tilt_rad, margin = camera.mount.tilt_rad, limits.margin_px / camera.focal_px
     angles = [measured(kind, edges, e, tilt_rad) for e in range(len(edges))]
     lowest, highest = camera.upright_bounds[2] - margin, camera.upright_bounds[3] + margin
-    seen = sight(camera, camera_pose[None], landmark_map, limits.far)
+    seen = sight(camera, camera_pose[None], landmark_map, replace(limits, range_max_m=limits.farthest_m))
     sigma_m = sighting.map_scale * landmark_map.sigma_m(observation.parameters.landmark_sigma_m)
     columns = np.column_stack([seen.tangent, seen.range_m, seen.e_bottom, seen.e_top, sigma_m[seen.landmark]])
     for k, (t, range_m, *at, sigma) in zip(seen.landmark.tolist(), columns.tolist(), strict=True):
