@@ -74,18 +74,15 @@ def persistent_clutter(now: Frame, image: EarlierFrame, clutter: Array | None = 
     edge of the last image may be continued, and by one edge: else nothing is known of where a single one would be.
     """
     (bearing, sigma), (before, before_sigma) = now.bearings, image.frame.bearings
-    density = np.ones(len(bearing))
-    if not len(bearing) or not len(before):
-        return density
     right, back, turn = image.motion
     across = right * np.cos(before) + back * np.sin(before)
     variance = before_sigma**2 + image.turn_var + (across / NEAREST_M) ** 2 / 12 + sigma[:, None] ** 2
     square = wrap_angle(bearing[:, None] - (before + turn - across / (2 * NEAREST_M))) ** 2 / variance
     may = square < _GATE**2
-    one = may & (may.sum(axis=0) == 1) & (may.sum(axis=1) == 1)[:, None]
-    edge, of = np.nonzero(one)
+    edge, of = np.nonzero(may & (may.sum(axis=0) == 1) & (may.sum(axis=1) == 1)[:, None])
     peak = np.exp(-0.5 * square[edge, of]) / np.sqrt(2 * np.pi * variance[edge, of])
-    share = np.ones(len(before))[of] if clutter is None else clutter[of]
+    share = 1.0 if clutter is None else clutter[of]
+    density = np.ones(len(bearing))
     density[edge] = np.maximum(share * field_of_view_rad(now.camera) * peak + 1.0 - share, 1.0)
     return density
 
@@ -97,20 +94,17 @@ def scene_clutter(now: Frame, earlier: Sequence[EarlierFrame]) -> tuple[Array, A
     """Return how dense clutter is at each edge (E,), and how much likelier it is if it continues an earlier one (E,).
 
     The density is relative to E edges spread evenly over the field of view, with ends as `association` has them. The
-    ratio is that to a new edge, 1 where there is nothing to continue. earlier: images of the same scene, the one that
-    is believed most first. The others tell of edges that it missed.
+    ratio is that to a new edge, 1 where there is no earlier image. earlier: images of the same scene that show edges,
+    the one that is believed most first. The others tell of edges that it missed.
     """
-    count, half_view = len(now.clutter), half_view_rad(now.camera)
-    if not count:
-        return np.ones(0), np.ones(0)
-    grouped, images = grouped_density(now), [one for one in earlier if len(one.frame.clutter)]
-    if not images:
+    count, grouped = len(now.clutter), grouped_density(now)
+    if not earlier:
         return grouped, np.ones(count)
     again, expected = np.zeros(count), 0.0
-    for index, image in enumerate(images):
-        shown, (density, bearing) = _missed_by(image, images[:index]), continued_density(now, image)
+    for index, image in enumerate(earlier):
+        shown, (density, bearing) = _missed_by(image, earlier[:index]), continued_density(now, image)
         again += SEEN_AGAIN * density @ shown
-        stays = np.abs(wrap_angle(bearing)) <= half_view  # edges that the camera still sees
+        stays = np.abs(wrap_angle(bearing)) <= half_view_rad(now.camera)  # edges that the camera still sees
         expected += SEEN_AGAIN * float(shown @ stays)
     new = max(count - expected, NEW * count)
     spread = max(new, 1.0)  # an image with one edge may show another one next time
