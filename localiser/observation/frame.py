@@ -83,8 +83,7 @@ class Frame:
         mount_var = np.einsum("ek,kl,el->e", by_mount, common.cov, by_mount)
         if self.parameters.kind == "line":
             return edges.bearing, edges.bearing_sigma**2 + mount_var
-        tilt_rad = self.camera.mount.tilt_rad
-        per_bearing = 1.0 / geometry.bearing_per_lean(geometry.bearing_from_lean(edges.lean, tilt_rad), tilt_rad)
+        per_bearing = 1.0 / geometry.bearing_per_lean(self.bearings[0], self.camera.mount.tilt_rad)
         return edges.lean, edges.lean_sigma**2 + mount_var * per_bearing**2
 
     @cached_property
