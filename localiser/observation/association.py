@@ -7,7 +7,7 @@ How far the map errs and how high the camera sits are told by the same rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,18 +52,18 @@ class Association:
     def matches(self) -> Matches:
         """Return the most likely landmark of every edge, whether or not an earlier image showed it too."""
         count = len(self.frame.edges.bearing)
-        matches = Matches.none(count, len(self.landmark_map))
-        matches.visible[self.landmark[self.in_the_open >= _SHOWN]] = True
+        landmark, (residual, sigma, gate) = np.full(count, -1), np.full((3, count), np.nan)
+        visible = np.zeros(len(self.landmark_map), dtype=bool)
+        visible[self.landmark[self.in_the_open >= _SHOWN]] = True
         # Ascending, so that the last write to an edge is its best landmark.
         likelier = np.flatnonzero(self.odds > 1.0)
         best = likelier[np.argsort(self.odds[likelier], kind="stable")]
-        edge, sigmas, gates = self.edge[best], np.full(count, np.nan), np.full(count, np.nan)
-        matches.landmark[edge], matches.residual[edge] = self.landmark[self.pair[best]], self.residual[best]
+        pair, edge = self.pair[best], self.edge[best]
+        variance = self.map_var[pair] + self.frame.measured[1][edge]
+        landmark[edge], residual[edge], sigma[edge] = self.landmark[pair], self.residual[best], np.sqrt(variance)
         # The odds fall as exp(-z²/2), and were 1 at the gate.
-        variance = self.map_var[self.pair[best]] + self.frame.measured[1][edge]
-        sigmas[edge] = np.sqrt(variance)
-        gates[edge] = np.sqrt(self.residual[best] ** 2 / variance + 2 * np.log(self.odds[best]))
-        return replace(matches, sigma=sigmas, gate=gates)
+        gate[edge] = np.sqrt(self.residual[best] ** 2 / variance + 2 * np.log(self.odds[best]))
+        return Matches(landmark, residual, visible, sigma, gate)
 
     def targets(self, inlier_rate: float) -> Targets:
         """Return the edges with a certain landmark.
