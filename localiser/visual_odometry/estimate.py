@@ -40,10 +40,6 @@ class Gaussian:
         square = (apart @ np.linalg.inv(self.cov) * apart).sum(axis=-1)
         return np.asarray(-0.5 * (square + np.linalg.slogdet(2 * np.pi * self.cov)[1]))
 
-    def draws(self) -> Array:
-        """Return motions (_COUNT, 3 or 4) drawn from it, always the same."""
-        return np.asarray(self.mean + _DRAWS[:, : len(self.mean)] @ np.linalg.cholesky(self.cov).T)
-
 
 def mixture(parts: Sequence[Gaussian], weight: Array) -> Gaussian:
     """Return the Gaussian with mean and covariance of a mixture of K motions; weight: (K,) of sum 1."""
@@ -101,7 +97,7 @@ def _sampled(images: TwoImages, priors: Sequence[tuple[Gaussian, float]], on_wal
     known = [(_with_range(prior), log_share) for prior, log_share in priors]
     motion = known[-1][0]
     for _ in range(_MOST_ROUNDS):
-        drawn = motion.draws()
+        drawn = motion.mean + _DRAWS @ np.linalg.cholesky(motion.cov).T
         log_prior = np.logaddexp.reduce([each.log_density(drawn) + log_share for each, log_share in known])
         log_ratio = log_prior - motion.log_density(drawn) + log_likelihood(images, drawn, on_wall)
         taken = largest_step(np.zeros(_COUNT), log_ratio, 1.0, _FEWEST)

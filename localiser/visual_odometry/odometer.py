@@ -91,28 +91,25 @@ class Odometer:
     def motion(
         self, before: Edges | None, after: Edges, seconds: float, pace: Gaussian | None
     ) -> tuple[Gaussian, Gaussian]:
-        """Return the motion over `seconds` as edges say, without the error of their scale, and the pace from then on.
+        """Return the motion over `seconds` by edges alone, without the error of their scale, and the pace from then on.
 
         before: the edges of the last image, None when there was none. pace: motion per second at the last image, None
-        when not known. Only a robot without wheels is taken to steer: where edges do not tell, that would speak against
-        the wheels of every robot that walks or flies.
+        when not known. The robot is taken to steer. Wheels are not judged by that: where edges do not tell, it would
+        speak against those of every robot that walks or flies.
         """
         images = TwoImages.of(Edges.none() if before is None else before, after, self.camera)
         prior = self.parameters.expected(None if before is None else pace, seconds)
         share = self.parameters.sidle_share
-        priors = [(prior, float(np.log(share)))]
-        if self.parameters.source == "vision":
-            # Along an arc it ends to the right by half of its turn times the way back, give or take the speed sideways,
-            # and what the product varies by that is not linear: all of it where no pace is known.
-            right_m, back_m, turn = prior.mean
-            of_arc = np.array([1.0, -0.5 * turn, -0.5 * back_m])
-            across = prior.cov @ of_arc
-            bent = 0.25 * (prior.cov[1, 1] * prior.cov[2, 2] + prior.cov[1, 2] ** 2)
-            gain = across / (of_arc @ across + bent + (self.parameters.sideways_m_s * seconds) ** 2)
-            sideways_m = right_m - 0.5 * turn * back_m
-            straight = Gaussian(prior.mean - gain * sideways_m, prior.cov - np.outer(gain, across))
-            priors.insert(0, (straight, float(np.log1p(-share))))
-        motion = follow(images, priors)
+        # Along an arc it ends to the right by half of its turn times the way back, give or take the speed sideways,
+        # and what the product varies by that is not linear: all of it where no pace is known.
+        right_m, back_m, turn = prior.mean
+        of_arc = np.array([1.0, -0.5 * turn, -0.5 * back_m])
+        across = prior.cov @ of_arc
+        bent = 0.25 * (prior.cov[1, 1] * prior.cov[2, 2] + prior.cov[1, 2] ** 2)
+        gain = across / (of_arc @ across + bent + (self.parameters.sideways_m_s * seconds) ** 2)
+        sideways_m = right_m - 0.5 * turn * back_m
+        straight = Gaussian(prior.mean - gain * sideways_m, prior.cov - np.outer(gain, across))
+        motion = follow(images, [(straight, float(np.log1p(-share))), (prior, float(np.log(share)))])
         return motion, Gaussian(motion.mean / seconds, motion.cov / seconds**2)
 
 
