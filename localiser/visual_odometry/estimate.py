@@ -54,18 +54,6 @@ def mixture(parts: Sequence[Gaussian], weight: Array) -> Gaussian:
     return Gaussian(total, within + np.einsum("k,ki,kj->ij", weight, spread, spread))
 
 
-def log_likelihood(images: TwoImages, drawn: Array, on_wall: bool) -> Array:
-    """Return log p(second image | first, motion) (N,), over that of new edges alone.
-
-    drawn: (N, 4) the robot's motions, and the typical inverse range. on_wall: as `pair_kernel` says.
-    """
-    from localiser.visual_odometry import pair_kernel
-
-    first, second = images.mounts
-    moves = between(first[None], compose(drawn[:, :3], second))
-    return np.asarray(pair_kernel.log_likelihoods(images, moves, drawn[:, 3].copy(), on_wall))
-
-
 def _with_range(motion: Gaussian) -> Gaussian:
     """Return a motion with the typical inverse range, which is not known, as a fourth dimension."""
     cov = np.zeros((4, 4))
@@ -92,14 +80,18 @@ def _sampled(images: TwoImages, priors: Sequence[tuple[Gaussian, float]], on_wal
 
     They are drawn from the widest prior, and weighed by as much of what is known as leaves enough of them; then from a
     Gaussian with the moments of those, until all of it counts (population Monte Carlo [Cappé et al. 2004]). After 15
-    rounds the result is wider than what edges tell.
+    rounds the result is wider than what edges tell. on_wall: as `pair_kernel` says.
     """
+    from localiser.visual_odometry import pair_kernel
+
     known = [(_with_range(prior), log_share) for prior, log_share in priors]
-    motion = known[-1][0]
+    motion, (first, second) = known[-1][0], images.mounts
     for _ in range(_MOST_ROUNDS):
         drawn = motion.mean + _DRAWS @ np.linalg.cholesky(motion.cov).T
+        moves = between(first[None], compose(drawn[:, :3], second))
+        log_fit = pair_kernel.log_likelihoods(images, moves, drawn[:, 3].copy(), on_wall)
         log_prior = np.logaddexp.reduce([each.log_density(drawn) + log_share for each, log_share in known])
-        log_ratio = log_prior - motion.log_density(drawn) + log_likelihood(images, drawn, on_wall)
+        log_ratio = log_prior - motion.log_density(drawn) + log_fit
         taken = largest_step(np.zeros(_COUNT), log_ratio, 1.0, _FEWEST)
         found = Particles((*POSE, "range"), drawn.T.copy(), taken * log_ratio).estimate
         mean = found.mean.copy()  # beside the last one, so that a turn near ±π is compared with its prior

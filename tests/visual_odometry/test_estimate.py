@@ -32,7 +32,6 @@ from localiser.visual_odometry import (
     with_scale,
 )
 from localiser.visual_odometry import pair_kernel as loops
-from localiser.visual_odometry.estimate import log_likelihood
 from localiser.visual_odometry.two_images import TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD, SeenEdges
 from paper.slopes import depth_from_slopes, lean_from_slope, rotation_from_slopes
 
@@ -131,8 +130,10 @@ def test_samples_have_the_mean_and_covariance_of_the_posterior() -> None:
         grid = np.stack(np.meshgrid(axis, axis, axis, ranges), axis=-1).reshape(-1, 4)
         grid[:, :3] = found.mean + grid[:, :3] @ root.T
         log_range = -0.5 * ((grid[:, 3] - TYPICAL_INVERSE_RANGE) / TYPICAL_SPREAD) ** 2
-        either = [log_likelihood(images, grid, on_wall) + np.log(0.3 if on_wall else 0.7) for on_wall in (False, True)]
-        weight = normalised(np.logaddexp(*either) + log_range + ANYTHING.log_density(grid[:, :3]))
+        moves = geometry.between(images.mounts[0], compose(grid[:, :3], images.mounts[1]))
+        no_wall, wall = (loops.log_likelihoods(images, moves, grid[:, 3].copy(), on_wall) for on_wall in (False, True))
+        either = np.logaddexp(no_wall + np.log(0.7), wall + np.log(0.3))
+        weight = normalised(either + log_range + ANYTHING.log_density(grid[:, :3]))
         mean = weight @ grid[:, :3]
         cov = ((grid[:, :3] - mean) * weight[:, None]).T @ (grid[:, :3] - mean)
         np.testing.assert_allclose(np.linalg.solve(root, mean - found.mean), 0.0, atol=0.5)
