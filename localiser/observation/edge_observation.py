@@ -25,7 +25,7 @@ from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, kept_with, reach_of
 from localiser.observation.association import Association
 from localiser.observation.clutter import EarlierFrame, scene_clutter
-from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame, Indices
+from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame, Indices, marked_landmarks
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import ObservationParameters, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles
@@ -187,8 +187,8 @@ def kernel_inputs(
 ) -> tuple[Indices, tuple[Any, ...]]:
     """Return which edge (E,) is in each row, and how `likelihood_kernel` takes the camera, landmarks and edges.
 
-    Landmarks are rows (L, 6): x, z, heights (m), sigma (m) and polarity as the map has them. blur_rad: sigma that is
-    added to every edge's own.
+    Landmarks are rows (L, 6): x, z, heights (m), sigma (m) and polarity as the map has them. Edges are rows as in
+    `Frame.table`, -1 for an edge of any landmark. blur_rad: sigma that is added to every edge's own.
     """
 
     def table() -> Array:
@@ -197,7 +197,11 @@ def kernel_inputs(
         return np.ascontiguousarray(np.column_stack([*columns, landmark_map.polarity]))
 
     mount, sigma_m = frame.camera.mount, frame.parameters.landmark_sigma_m
-    rows, by_angle, bins, largest_var = frame.table(landmark_map, blur_rad)
+    rows, by_angle, bins, largest_var = frame.table
+    rows, blur_var = rows.copy(), blur_rad**2
+    rows[:, 1] += blur_var
+    if frame.parameters.association == "unknown":
+        rows[:, -1] = marked_landmarks(frame.edges, landmark_map)[by_angle]
     return by_angle, (
         (mount.right_m, mount.back_m, mount.yaw_rad),
         (mount.height_m, map_scale),
@@ -205,7 +209,7 @@ def kernel_inputs(
         rows,
         *bins,
         *frame.sight,
-        (GATE_SIGMAS, largest_var),
+        (GATE_SIGMAS, largest_var + blur_var),
         (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed),
         frame.span_rad,
         frame.parameters.kind == "slope",

@@ -25,7 +25,6 @@ from localiser.observation.sighting import ObservationParameters
 
 Indices = NDArray[np.int64]
 EdgeBins = tuple[Indices, tuple[float, float, float]]
-EdgeTable = tuple[Array, Indices, EdgeBins, float]
 
 SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll
 TOLERANCE_PX = 6.0  # how far an edge may stick out
@@ -144,24 +143,15 @@ class Frame:
 
     # -- as loops take them -------------------------------------------------------------------------------------------
 
-    def table(self, landmark_map: LandmarkMap, blur_rad: float) -> EdgeTable:
-        """Return the edges by their compared angle, as the loop over landmarks takes them.
+    @cached_property
+    def table(self) -> tuple[Array, Indices, EdgeBins, float]:
+        """The edges by their compared angle, as the loop over landmarks takes them.
 
         Rows (E, 13): compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of
         the lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak
-        beside it and 1 / sigma, mean polarity, landmark whose edge it is said to be, -1 for any. Then which edge a row
-        is (E,), bins of the angles, see `bins_of`, and the largest known variance. blur_rad: sigma that is added to
-        every edge's own.
+        beside it and 1 / sigma, mean polarity, landmark whose edge it is said to be. Then which edge a row is (E,),
+        bins of the angles, see `bins_of`, and the largest known variance.
         """
-        rows, order, bins, largest_var = self._table
-        rows = rows.copy()
-        rows[:, 1] += blur_rad**2
-        if self.parameters.association == "unknown":
-            rows[:, -1] = marked_landmarks(self.edges, landmark_map)[order]
-        return rows, order, bins, largest_var + blur_rad**2
-
-    @cached_property
-    def _table(self) -> EdgeTable:
         edges, ends, known = self.edges, self.ends, self.is_known
         identified = self.parameters.association == "known"
         if identified:  # edges are of the landmark that they name, and tell nothing where they name none

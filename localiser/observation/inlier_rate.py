@@ -55,11 +55,8 @@ class InlierRate:
 
     def log_mean(self, by_rate: Array) -> Array:
         """Return log p(edges | pose) (N,), the rates integrated out of `by_rate` (K, N)."""
-        log_probability, count = np.log(self.probability)[:, None], by_rate.shape[1]
-        parts = [
-            log_sum_of_rates(by_rate[:, low : low + _PART] + log_probability) for low in range(0, max(count, 1), _PART)
-        ]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        log_probability, begins = np.log(self.probability)[:, None], range(0, max(by_rate.shape[1], 1), _PART)
+        return np.concatenate([log_sum_of_rates(by_rate[:, k : k + _PART] + log_probability) for k in begins])
 
     def given(self, by_rate: Array, weight: Array, independent_frames: float) -> Self:
         """Return the distribution after a frame with log p(edges | pose, w_k) (K, N) and particles of weight (N,).
