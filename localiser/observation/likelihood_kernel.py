@@ -61,12 +61,17 @@ def _turn(block: Array, lanes: int) -> None:
 
 @inlined
 def _place(poses: Array, order: Indices, first: int, size: int, lanes: int, offset: Any, block: Array) -> None:
-    """Write the camera poses of particles order[first : first + size]; the lanes beyond repeat the last one."""
+    """Write the camera poses of particles order[first : first + size], of which none has seen a landmark yet.
+
+    The lanes beyond repeat the last one.
+    """
     right, back, yaw = offset
     for m in range(lanes):
         n = order[first + min(m, size - 1)]
         for row in range(_COS):
             block[row, m] = poses[n, row]
+        for row in range(_SEEN, len(block)):
+            block[row, m] = 0.0
     _turn(block, lanes)
     for m in range(lanes):
         block[_X, m] += block[_COS, m] * right + block[_SIN, m] * back
@@ -254,7 +259,7 @@ def _add_up(e: int, k: int, visibility: Array, block: Array, lanes: int, density
 def _multiply(
     density: Array, scale: Any, block: Array, lanes: int, odds: Array, factor: Array, log_factor: Array
 ) -> None:
-    """Multiply the factors by 1 + odds · ratio of one edge, and put large ones aside.
+    """Multiply the factors by 1 + odds · ratio of one edge, and put large ones aside; its density is 0 from then on.
 
     scale: by which its density becomes the ratio, and whether the landmarks in view share it. The factor is 1 for
     particles that the edge is not near, so that they stay as they are, to the last bit.
@@ -262,6 +267,7 @@ def _multiply(
     per_density, is_shared = scale
     for m in range(lanes):
         block[_RATIO, m] = density[m] * per_density
+        density[m] = 0.0
     if is_shared:
         for m in range(lanes):
             block[_RATIO, m] *= block[_SCALE, m]
@@ -275,20 +281,6 @@ def _multiply(
         for m in range(lanes):
             if factor[RATES - 1, m] > SAFE:
                 _put_aside(factor, m, log_factor)
-
-
-@inlined
-def _begin(block: Array, density: Array, is_near: NDArray[np.bool_]) -> None:
-    """Count no landmark, and no edge as near, yet."""
-    for view in range(len(density)):
-        for m in range(BLOCK):
-            block[_SEEN + view, m] = 0.0
-        for e in range(len(is_near)):
-            if is_near[e]:
-                for m in range(BLOCK):
-                    density[view, e, m] = 0.0
-    for e in range(len(is_near)):
-        is_near[e] = False
 
 
 @inlined
@@ -356,7 +348,6 @@ def log_products(
             size = min(BLOCK, run[c + 1] - n)
             lanes = max((size + LANES - 1) // LANES, LEAST_VECTORS) * LANES
             _place(poses, order, n, size, lanes, offset, block)
-            _begin(block, density, is_near)
             for k in item[start[c] : start[c + 1]]:
                 one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
                 landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, sigma_m * sigma_m)
@@ -381,6 +372,7 @@ def log_products(
                     if is_near[e]:
                         scale = per_density * rare[e], is_inlier_rate and edges[e, _IDENTITY] < 0
                         _multiply(density[view, e], scale, block, lanes, odds, factor, log_factor)
+                        is_near[e] = view + 1 < len(visibility)  # else it is near no particle of the next block yet
                 values = factor.ravel()
                 _logarithm(values, values.view(np.int64), mantissa, mantissa.view(np.int64), log_factor.ravel())
                 for k in range(RATES):
