@@ -178,24 +178,6 @@ def _edges_near(block: Array, lanes: int, first: Indices) -> tuple[int, int]:
 
 
 @inlined
-def _meet(edge: Any, block: Array, lanes: int, tolerance: float) -> int:
-    """Compare an edge with the landmark, seen by each particle; return of how many both are a pair.
-
-    Those within the gate that overlap are pairs; the others have no density.
-    """
-    pairs = 0
-    for m in range(lanes):
-        residual, spread = edge[_MEASURED] - block[_ANGLE, m], edge[_VAR] + block[_VARIANCE, m]
-        inside = min(block[_TOP, m], edge[_HIGH]) - max(block[_FOOT, m], edge[_LOW]) + 2 * tolerance
-        is_pair = (residual * residual < _GATE * spread) & (inside > 0)
-        block[_RESIDUAL, m], block[_SPREAD, m] = residual, spread
-        block[_COVERED, m] = inside * edge[_PER_LENGTH]
-        block[_IS_PAIR, m] = 1.0 if is_pair else 0.0
-        pairs += is_pair
-    return pairs
-
-
-@inlined
 def _normal(y: float) -> float:
     """Return exp(16 y) for y ≤ 0, at least e^-18."""
     y = y if y > _LEAST else _LEAST
@@ -231,20 +213,38 @@ def _end(
 
 
 @inlined
-def _weigh(edge: Any, block: Array, lanes: int, ends: Any, hidden: Any, alike: float) -> None:
-    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and the landmark, 0 where they are no pair.
+def _weigh(edge: Any, k: int, one: Any, block: Array, lanes: int, ends: Any) -> bool:
+    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and landmark k, seen by each particle; return whether any has one.
 
+    It is 0 where they are no pair: beyond the gate, beside each other, or where the edge is known to be of another one.
     c_el is the squared part of the edge that lies between the landmark's ends, times `_end` for each, and polarity.
+    one: the landmark as the map has it.
     """
+    if edge[_IDENTITY] >= 0 and edge[_IDENTITY] != k:
+        return False
+    tolerance, missed = ends
+    pairs = 0
+    for m in range(lanes):
+        residual, spread = edge[_MEASURED] - block[_ANGLE, m], edge[_VAR] + block[_VARIANCE, m]
+        inside = min(block[_TOP, m], edge[_HIGH]) - max(block[_FOOT, m], edge[_LOW]) + 2 * tolerance
+        is_pair = (residual * residual < _GATE * spread) & (inside > 0)
+        block[_RESIDUAL, m], block[_SPREAD, m] = residual, spread
+        block[_COVERED, m] = inside * edge[_PER_LENGTH]
+        block[_IS_PAIR, m] = 1.0 if is_pair else 0.0
+        pairs += is_pair
+    if pairs == 0:
+        return False
     low, high = (edge[_LOW], edge[_PER_SIGMA_LOW]), (edge[_HIGH], edge[_PER_SIGMA_HIGH])
-    _end(low, edge[_ROOM_LOW], edge[_PEAK_LOW], block, lanes, (_FOOT, _AT_FOOT), ends[1], hidden[0])
-    _end(high, edge[_ROOM_HIGH], edge[_PEAK_HIGH], block, lanes, (_TOP, _AT_TOP), ends[1], hidden[1])
+    _end(low, edge[_ROOM_LOW], edge[_PEAK_LOW], block, lanes, (_FOOT, _AT_FOOT), missed, one[2] <= -UNKNOWN_M)
+    _end(high, edge[_ROOM_HIGH], edge[_PEAK_HIGH], block, lanes, (_TOP, _AT_TOP), missed, one[3] >= UNKNOWN_M)
+    alike = 1.0 + edge[_POLARITY] * one[5]
     for m in range(lanes):
         per = 1.0 / block[_SPREAD, m]
         covered = min(block[_COVERED, m], 1.0)
         agreement = _normal(-0.5 / 16 * block[_RESIDUAL, m] * block[_RESIDUAL, m] * per) * covered * covered
         density = agreement * block[_AT_FOOT, m] * block[_AT_TOP, m] * alike * np.sqrt(per)
         block[_DENSITY, m] = density if block[_IS_PAIR, m] > 0 else 0.0
+    return True
 
 
 @inlined
@@ -351,16 +351,11 @@ def log_products(
             for k in item[start[c] : start[c + 1]]:
                 one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
                 landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, sigma_m * sigma_m)
-                hidden, leaning = (one[2] <= -UNKNOWN_M, one[3] >= UNKNOWN_M), one[5]
                 _look(block, lanes, landmark, limits, camera, gate, bins, is_slope)
                 _count(block, lanes, visibility, k)
                 begin, end = _edges_near(block, lanes, first)
                 for e in range(begin, end):
-                    edge = edges[e]
-                    if edge[_IDENTITY] >= 0 and edge[_IDENTITY] != k:
-                        continue
-                    if _meet(edge, block, lanes, ends[0]) > 0:
-                        _weigh(edge, block, lanes, ends, hidden, 1.0 + edge[_POLARITY] * leaning)
+                    if _weigh(edges[e], k, one, block, lanes, ends):
                         _add_up(e, k, visibility, block, lanes, density)
                         is_near[e] = True
 
@@ -406,7 +401,6 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
     for k in item:
         one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
         landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, 1.0)
-        hidden, leaning = (one[2] <= -UNKNOWN_M, one[3] >= UNKNOWN_M), one[5]
         _look(block, 2, landmark, limits, camera, gate, bins, is_slope)
         angle, per_m_sq, is_open = block[_ANGLE, 0], block[_VARIANCE, 0], block[_OPEN, 0]
         if is_open == 0:
@@ -419,11 +413,7 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
         by_map, by_pose = sigma_m * sigma_m * per_m_sq, max(by_pose, 0.0) * per_m_sq / square
         block[_VARIANCE, 0], block[_VARIANCE, 1] = by_map, by_map + by_pose
         for e in range(len(edges)):
-            edge = edges[e]
-            if edge[_IDENTITY] >= 0 and edge[_IDENTITY] != k:
-                continue
-            if _meet(edge, block, 2, ends[0]) > 0:
-                _weigh(edge, block, 2, ends, hidden, 1.0 + edge[_POLARITY] * leaning)
+            if _weigh(edges[e], k, one, block, 2, ends):
                 pairs[used, 0], pairs[used, 1], pairs[used, 2] = shown, e, block[_RESIDUAL, 0]
                 for m in range(2):
                     pairs[used, 3 + m] = per_density * is_open * block[_DENSITY, m]
