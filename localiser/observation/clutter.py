@@ -130,29 +130,20 @@ def grouped_density(now: Frame) -> Array:
     """Return Λ (E,), relative to an even density."""
     others, edges = now.clutter.copy(), now.clutter.copy()
     others[:, _VAR], edges[:, _VAR] = 0.0, np.fmax(edges[:, _VAR], 0.0)  # 0 where it is not known
-    still = EarlierFrame(now, np.zeros(3), GROUP_RAD**2)
-    density, _ = continued_density(now, still, ROW_PX, edges, others)
+    mount, end_var = now.camera.mount, (ROW_PX / now.camera.focal_px) ** 2 if now.has_ends else np.inf
+    attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), 0.0])
+    density, _ = compiled(continued_loop)(edges, others, np.zeros(3), float(GROUP_RAD**2), attitude, end_var)
     np.fill_diagonal(density, 0.0)
     return np.asarray((1.0 + density.sum(axis=1)) / len(edges))
 
 
-def continued_density(
-    now: Frame,
-    image: EarlierFrame,
-    end_sigma_px: float = SIGMA_PX,
-    edges: Array | None = None,
-    before: Array | None = None,
-) -> tuple[Array, Array]:
-    """Return K (E, B), relative to an even density, and the bearings (B,) after half of the largest parallax.
-
-    end_sigma_px: of where an edge ends. edges, before: what to take for `Frame.clutter` of both images.
-    """
+def continued_density(now: Frame, image: EarlierFrame) -> tuple[Array, Array]:
+    """Return K (E, B), relative to an even density, and the bearings (B,) after half of the largest parallax."""
     mount, then = now.camera.mount, image.frame
     rise = (then.camera.mount.height_m - mount.height_m) / NEAREST_M
     attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), rise])
-    end_var = (end_sigma_px / now.camera.focal_px) ** 2 if now.has_ends and then.has_ends else np.inf
-    edges, before = now.clutter if edges is None else edges, then.clutter if before is None else before
-    return compiled(continued_loop)(edges, before, image.motion, image.turn_var, attitude, end_var)
+    end_var = (SIGMA_PX / now.camera.focal_px) ** 2 if now.has_ends and then.has_ends else np.inf
+    return compiled(continued_loop)(now.clutter, then.clutter, image.motion, image.turn_var, attitude, end_var)
 
 
 # -- the loop, for numba to compile -----------------------------------------------------------------------------------
@@ -164,7 +155,7 @@ _BEARING, _VAR, _COS, _SIN, _SPAN, _E, _SLOPE, _ROOM, _CUT, _PER_LENGTH = 0, 1, 
 def continued_loop(
     now: Array, then: Array, motion: Array, turn_var: float, mount: Array, end_var: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what `continued_density` does of edges (E, 14) and earlier ones (B, 14).
+    """Return what `continued_density` does of edges (E, 14) and earlier ones (B, 14), see `Frame.clutter`.
 
     motion: (3,) of the camera since, in its own frame then; turn_var: variance of its turn. mount: (3,) sine and cosine
     of the camera's tilt now, and by how much it was higher before, over `NEAREST_M`. end_var: variance of an end's
