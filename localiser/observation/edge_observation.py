@@ -72,17 +72,6 @@ class EdgeObservation:
         every = np.ones((1, len(landmark_map)))
         return np.asarray(self.by_views(particles, sighting, landmark_map, every, blur_rad, of_edges=True)[0])
 
-    def by_detection_rate(
-        self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap, blur_rad: float = 0.0
-    ) -> Array:
-        """Return log p(edges | particle, p_k) (K, N) for every detection rate, relative to all edges being clutter.
-
-        The edges are a Poisson process, see `likelihood_kernel.log_products`: a pose that sees no landmark explains
-        them as well as clutter does. Clutter is that of the scene.
-        """
-        every = np.ones((1, len(landmark_map)))
-        return np.asarray(self.by_views(particles, sighting, landmark_map, every, blur_rad)[0])
-
     def by_views(
         self,
         particles: Particles,
@@ -93,10 +82,11 @@ class EdgeObservation:
         *,
         of_edges: bool = False,
     ) -> Array:
-        """Return log p(edges | particle, rate_k) (V, K, N) in V views, in little more time than in one.
+        """Return log p(edges | particle, p_k) (V, K, N) for every detection rate, relative to all edges being clutter.
 
-        visibility: (V, L) probability that a landmark in view is not hidden. of_edges: by inlier rates, clutter being
-        that of the last image; else by detection rates, clutter being that of the scene.
+        The edges are a Poisson process, see `likelihood_kernel.log_products`: a pose that sees no landmark explains
+        them as well as clutter does. Clutter is that of the scene. visibility: (V, L) probability that a landmark in
+        view is not hidden, in V views, which take little more time than one. of_edges: as `by_rate` has it.
         """
         frame, count = self.frame(sighting.edges), particles.columns.shape[1]
         if not len(frame.edges.bearing):

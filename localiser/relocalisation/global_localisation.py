@@ -106,7 +106,8 @@ class GlobalLocalisation:
 
         The second value is whether there are so many edges that some are of landmarks, if any is in view.
         """
-        by_rate = self.observation.by_detection_rate(particles, sighting, self.landmark_map, blur_rad)
+        every = np.ones((1, len(self.landmark_map)))
+        (by_rate,) = self.observation.by_views(particles, sighting, self.landmark_map, every, blur_rad)
         return PLACE_POWER * by_rate, self.known_edges(sighting) >= FEWEST_EDGES
 
     def log_fit(self, poses: Array, sighting: Sighting, blur_rad: float = BLUR_RAD) -> Array:

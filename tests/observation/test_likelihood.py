@@ -235,7 +235,7 @@ def test_landmarks_down_a_long_corridor_count_for_what_can_be_seen_of_them(kind:
     one = Particles(POSE, np.zeros((3, 1)), np.zeros(1))
     edge = Sighting(0, Edges.from_columns(np.zeros(1), np.full(1, 0.01), np.zeros(1), np.full(1, 0.01)))
     near, far = (
-        observation.by_detection_rate(one, edge, LandmarkMap.from_points(np.array([[0.0, -each]])))[-1]
+        observation.by_views(one, edge, LandmarkMap.from_points(np.array([[0.0, -each]])), np.ones((1, 1)))[0, -1]
         for each in (11.9, 24.0)
     )
     rate = DETECTION_RATES[-1]
@@ -258,7 +258,7 @@ def test_detection_rates_are_a_poisson_process(kind: str) -> None:
         rate = INLIER_RATES[3]
         density = (np.expm1(inlier) / rate + 1.0) * np.maximum(seen, 1)  # of the one edge, relative to clutter
         expected = [np.log1p(p * density) - np.log1p(p * seen) for p in DETECTION_RATES]
-        found = observation.by_detection_rate(particles, Sighting(0, edges), landmark_map)
+        (found,) = observation.by_views(particles, Sighting(0, edges), landmark_map, np.ones((1, 40)))
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
     assert (seen == 0).any() and np.ptp(found) > 0.5
     np.testing.assert_array_equal(found[:, seen == 0], 0.0)
