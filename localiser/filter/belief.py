@@ -55,7 +55,8 @@ BESIDE = 0.25  # candidates while a place is tracked, as a part of those while n
 # From which probability of being off the map on, and after how many scenes with enough edges, the map is said not to
 # fit.
 TRACKED_UNFIT, UNFIT = (0.7, 15.0), (0.97, 22.0)  # while a place is tracked, and while none is
-NO_MAP = 0.7  # the same of a place that is tracked, where near landmarks are missing
+NO_MAP = 0.7  # the same of a place that is tracked, where near landmarks are missing:
+MISSING = 0.3  # below this probability of the map, by them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -370,7 +371,7 @@ class Belief:
     @property
     def warning(self) -> MapWarning:
         """What a user should look at, "" where all is well."""
-        does_not_fit = self.unfit >= 1.0 or (self.landmarks.are_missing and self._contradicted > NO_MAP)
+        does_not_fit = self.unfit >= 1.0 or (self.landmarks.probability < MISSING and self._contradicted > NO_MAP)
         return "this map does not fit" if does_not_fit else ""
 
 

@@ -29,7 +29,6 @@ MATCHED, BY_CHANCE = (0.57, 0.78), (0.41, 1.37)  # a, b: on a map of the buildin
 SEEN_SCENES, NEAR_SCENES = 8.0, 60.0
 SAME_WALLS = 0.6  # log-odds, at most, of a landmark for one of several floors, whose walls may be the same
 ANOTHER = 0.01  # odds that a map which is believed is of another building
-UNLIKELY = 0.3  # below this probability the map is said not to fit
 _FORGOTTEN = 1e-4  # scenes that are not kept
 
 
@@ -71,11 +70,6 @@ class PlaceLandmarks:
         if self.maps > 1:
             return float(1.0 / (1.0 + np.exp(-self.log_odds) / self.maps))
         return float((1.0 + ANOTHER) / (1.0 + ANOTHER * np.exp(max(-self.log_odds, 0.0))))
-
-    @property
-    def are_missing(self) -> bool:
-        """Whether so few are there that this is no map of what is seen from the tracked place."""
-        return self.probability < UNLIKELY
 
     def elsewhere(self, maps: int) -> PlaceLandmarks:
         """Return what is known when another place is tracked, which was found among so many maps."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
+from localiser.filter.belief import MISSING
 from localiser.geometry import Array
 from localiser.observation import Matches, PlaceLandmarks
 from localiser.observation.inlier_rate import INLIER_RATES, MEMORY_FRAMES, PRIOR_FRAMES, InlierRate
@@ -135,7 +136,7 @@ def test_how_often_maps_are_said_not_to_fit_by_chance() -> None:
             for _ in range(3):
                 found = index[rng.random(5) < chance].tolist()
                 known = known.after(matches(found, visible.tolist(), FEWEST_EDGES), points, HERE, 1.0)
-            if known.are_missing:
+            if known.probability < MISSING:
                 return True
         return False
 
