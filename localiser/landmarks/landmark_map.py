@@ -128,12 +128,8 @@ class LandmarkMap:
 
     def sigma_m(self, unknown_m: float) -> Array:
         """Return the sigma (L,) of each position, the mean over directions; `unknown_m` where the map is silent."""
-
-        def make() -> Array:
-            trace = np.trace(self.cov, axis1=1, axis2=2)
-            return np.where(np.isnan(trace), unknown_m, np.sqrt(np.maximum(trace, 0.0) / 2))
-
-        return kept_with(self, ("sigma_m", unknown_m), make)
+        trace = np.trace(self.cov, axis1=1, axis2=2)
+        return np.where(np.isnan(trace), unknown_m, np.sqrt(np.maximum(trace, 0.0) / 2))
 
     def take(self, index: NDArray[np.int64]) -> LandmarkMap:
         """Return the map of the landmarks at `index` (K,), in that order."""
