@@ -88,8 +88,7 @@ class Frame:
     @cached_property
     def is_known(self) -> NDArray[np.bool_]:
         """Whether (E,) the angle of an edge was measured: an observation of bearings knows nothing of a lean."""
-        measured, variance = self.measured
-        return np.isfinite(measured) & np.isfinite(variance)
+        return np.asarray(np.isfinite(self.measured).all(axis=0))
 
     @cached_property
     def bearings(self) -> tuple[Array, Array]:
