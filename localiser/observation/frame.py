@@ -121,15 +121,22 @@ class Frame:
         return bool(np.isfinite(self.edges.ends_px).all())
 
     @cached_property
+    def end_heights(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Upright image heights (E, 2) of the ends, the lower first, and whether they lie at the border."""
+        ends_px = self.edges.ends_px
+        e, cut = self.camera.upright_from_pixels(ends_px)[..., 1], at_border(ends_px, self.camera)
+        turned = e[:, :1] > e[:, 1:]
+        return np.where(turned, e[:, ::-1], e), np.where(turned, cut[:, ::-1], cut)
+
+    @cached_property
     def ends(self) -> Endpoints:
         """Where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
-        ends_px, camera = self.edges.ends_px, self.camera
-        count, known_sigma = len(ends_px), SIGMA_PX / camera.focal_px
+        count, camera, known_sigma = len(self.edges.bearing), self.camera, SIGMA_PX / self.camera.focal_px
         if not self.has_ends:  # measured by something that tells no ends
             e = np.tile([-UNKNOWN, UNKNOWN], (count, 1))
             sigma, room, peak = np.full((count, 2), known_sigma), np.full((count, 2), UNKNOWN), np.zeros((count, 2))
             return Endpoints(e, sigma, np.full(count, UNKNOWN), room, peak, 1.0)
-        e, cut = ends_lower_first(ends_px, camera)
+        e, cut = self.end_heights
         _, _, e_low, e_high = camera.upright_bounds
         row = ROW_PX / camera.focal_px
         near = np.exp(-0.5 * ((e.T[:, :, None] - e.T[:, None]) / row) ** 2).sum(axis=1).T - 1.0
@@ -233,13 +240,6 @@ def end_per_height(e: Array, camera: Camera) -> Array:
     s, c = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad)
     per_ahead = np.maximum(s - e[:, :1] * c, 0.0) / (camera.mount.height_m * (c + e[:, :1] * s))
     return np.asarray((c + e * s) ** 2 * per_ahead)
-
-
-def ends_lower_first(ends_px: Array, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
-    """Return upright image heights (E, 2) of ends (E, 2, 2), the lower first, and whether they lie at the border."""
-    e, cut = camera.upright_from_pixels(ends_px)[..., 1], at_border(ends_px, camera)
-    turned = e[:, :1] > e[:, 1:]
-    return np.where(turned, e[:, ::-1], e), np.where(turned, cut[:, ::-1], cut)
 
 
 def at_border(ends_px: Array, camera: Camera) -> NDArray[np.bool_]:

@@ -21,7 +21,6 @@ from localiser.observation import (
     Frame,
     ObservationParameters,
     end_per_height,
-    ends_lower_first,
     marked_landmarks,
 )
 from localiser.particles import Indices
@@ -117,7 +116,7 @@ class Feet:
         camera, known, (bearing, _) = frame.camera, np.flatnonzero(frame.is_known), frame.bearings
         order = known[np.argsort(bearing[known], kind="stable")]
         edges, bearing = frame.edges.take(order), bearing[order]
-        ends, cut = ends_lower_first(edges.ends_px, camera)
+        ends, cut = frame.end_heights[0][order], frame.end_heights[1][order]
         unknown = np.isnan(ends).any(axis=1)
         mount, ahead = camera.mount, edges.foot_range_m * np.cos(bearing)
         s, c = np.sin(mount.tilt_rad), np.cos(mount.tilt_rad)
