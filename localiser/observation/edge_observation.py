@@ -25,7 +25,7 @@ from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, kept_with, reach_of
 from localiser.observation.association import Association
 from localiser.observation.clutter import EarlierFrame, scene_clutter
-from localiser.observation.frame import GATE_SIGMAS, TOLERANCE_PX, UNKNOWN, Frame, Indices, marked_landmarks
+from localiser.observation.frame import TOLERANCE_PX, UNKNOWN, Frame, Indices, marked_landmarks
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import ObservationParameters, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles
@@ -187,7 +187,7 @@ def kernel_inputs(
         return np.ascontiguousarray(np.column_stack([*columns, landmark_map.polarity]))
 
     mount, sigma_m = frame.camera.mount, frame.parameters.landmark_sigma_m
-    rows, by_angle, bins, largest_var = frame.table
+    rows, by_angle, (first, bins), largest_var = frame.table
     rows, blur_var = rows.copy(), blur_rad**2
     rows[:, 1] += blur_var
     if frame.parameters.association == "unknown":
@@ -197,12 +197,10 @@ def kernel_inputs(
         (mount.height_m, map_scale),
         kept_with(landmark_map, ("table", sigma_m), table),
         rows,
-        *bins,
-        *frame.sight,
-        (GATE_SIGMAS, largest_var + blur_var),
+        first,
+        (*frame.sight, bins, largest_var + blur_var, frame.parameters.kind == "slope"),
         (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed),
         frame.span_rad,
-        frame.parameters.kind == "slope",
     )
 
 

@@ -34,7 +34,6 @@ UNKNOWN = 1e9  # beyond every height
 # An edge of a landmark has its polarity with probability 0.9, and clutter has both alike. So p(polarity | landmark) / ½
 # is 1 + MEAN_POLARITY · polarity_e · polarity_l, and 1 where either is unknown (0). See docs/notes/observation.md.
 MEAN_POLARITY = 2 * 0.9 - 1.0
-GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
 _BINS = 512  # of the compared angle
 
 

@@ -27,11 +27,12 @@ RATES = 6  # of each view
 UNKNOWN_M = 1e8  # heights beyond this are not known
 SAFE = 1e150  # a product is put aside when it grows beyond
 
-# exp(y) = exp(y/16)^16, the inner one as a polynomial between the gate, y = -18 or 6 sigmas, and 0: 2e-6 of its value.
-_LEAST = -18.0 / 16
+GATE_SIGMAS = 6.0  # beyond this a normal density is below 1e-8 of its peak: nothing beside clutter
+
+# exp(y) = exp(y/16)^16, the inner one as a polynomial between the gate and 0: 2e-6 of its value.
+_LEAST = -0.5 * GATE_SIGMAS**2 / 16
 _SERIES = np.polynomial.Chebyshev.interpolate(np.exp, 6, domain=[_LEAST, 0.0])
 _X0, _X1, _X2, _X3, _X4, _X5, _X6 = (float(power) for power in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
-_GATE = -2.0 * 16 * _LEAST  # sigmas squared
 _HALF_PI, _LOG_TWO, _ROOT_TWO = np.pi / 2, float(np.log(2.0)), float(np.sqrt(2.0))
 _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 1.0
 
@@ -94,19 +95,15 @@ def _arctan(u: float) -> float:
 
 
 @inlined
-def _look(
-    block: Array, lanes: int, landmark: Any, limits: Any, view: Any, gate: Any, bins: Any, is_slope: bool
-) -> None:
+def _look(block: Array, lanes: int, landmark: Any, seen_in: Any) -> None:
     """Write how a block of cameras sees one landmark: the expected angle, its variance, ends, bins of edges near it.
 
     The same as `landmarks.sight`, with every division by the image's border multiplied out. Cameras that have it behind
     them expect no angle. For those that do not see it, it lies above all edges, and is in the open with probability 0.
     """
     x, z, bottom, top, position_var = landmark
-    nearest, farthest, open_sq, widest = limits
-    s, c, a_left, a_right, e_low, e_high, length_min = view
-    sigmas, largest_var = gate
-    bin_low, per_bin, last_bin = bins
+    image, (nearest, farthest, open_sq, widest), (bin_low, per_bin, last_bin), largest_var, is_slope = seen_in
+    s, c, a_left, a_right, e_low, e_high, length_min = image
     for m in range(lanes):
         dx, dz = x - block[_X, m], z - block[_Z, m]
         right, ahead = dx * block[_COS, m] - dz * block[_SIN, m], -(dx * block[_SIN, m] + dz * block[_COS, m])
@@ -147,7 +144,7 @@ def _look(
         per_range_sq = s * s * square / (stretched * stretched) if is_slope else denominator * per
         variance = position_var * per_range_sq
 
-        reach = sigmas * np.sqrt(variance + largest_var)
+        reach = GATE_SIGMAS * np.sqrt(variance + largest_var)
         first, last = (angle - reach - bin_low) * per_bin, (angle + reach - bin_low) * per_bin + 2.0
         first, last = (first if first > 0 else 0.0), (last if last > 0 and visible else 0.0)
         first, last = (first if first < last_bin and visible else last_bin), (last if last < last_bin else last_bin)
@@ -227,7 +224,7 @@ def _weigh(edge: Any, k: int, one: Any, block: Array, lanes: int, ends: Any) -> 
     for m in range(lanes):
         residual, spread = edge[_MEASURED] - block[_ANGLE, m], edge[_VAR] + block[_VARIANCE, m]
         inside = min(block[_TOP, m], edge[_HIGH]) - max(block[_FOOT, m], edge[_LOW]) + 2 * tolerance
-        is_pair = (residual * residual < _GATE * spread) & (inside > 0)
+        is_pair = (residual * residual < GATE_SIGMAS**2 * spread) & (inside > 0)
         block[_RESIDUAL, m], block[_SPREAD, m] = residual, spread
         block[_COVERED, m] = inside * edge[_PER_LENGTH]
         block[_IS_PAIR, m] = 1.0 if is_pair else 0.0
@@ -337,7 +334,7 @@ def log_products(
     inputs: the image and the map, see `edge_observation.kernel_inputs`. visibility: (V, L) this probability. odds:
     (RATES,) o_k of ascending rates. rare: (E,) 1 / clutter_e.
     """
-    offset, (height_m, map_scale), landmarks, edges, first, bins, camera, limits, gate, ends, span, is_slope = inputs
+    offset, (height_m, map_scale), landmarks, edges, first, seen_in, ends, span = inputs
     block = np.ones((_SEEN + len(visibility), BLOCK))
     density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
     factor, log_factor, mantissa = np.ones((RATES, BLOCK)), np.zeros((RATES, BLOCK)), np.ones(RATES * BLOCK)
@@ -351,7 +348,7 @@ def log_products(
             for k in item[start[c] : start[c + 1]]:
                 one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
                 landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, sigma_m * sigma_m)
-                _look(block, lanes, landmark, limits, camera, gate, bins, is_slope)
+                _look(block, lanes, landmark, seen_in)
                 _count(block, lanes, visibility, k)
                 begin, end = _edges_near(block, lanes, first)
                 for e in range(begin, end):
@@ -392,7 +389,7 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
 
     item: landmarks to look at. inputs: as for `log_products`.
     """
-    offset, (height_m, map_scale), landmarks, edges, _, bins, camera, limits, gate, ends, span, is_slope = inputs
+    offset, (height_m, map_scale), landmarks, edges, _, seen_in, ends, span = inputs
     block, poses = np.ones((_SEEN, 2)), np.zeros((2, 4))
     poses[:, :3] = pose
     seen, pairs = np.empty((len(item), 6)), np.empty((len(item) * len(edges), 5))
@@ -401,7 +398,7 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
     for k in item:
         one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
         landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, 1.0)
-        _look(block, 2, landmark, limits, camera, gate, bins, is_slope)
+        _look(block, 2, landmark, seen_in)
         angle, per_m_sq, is_open = block[_ANGLE, 0], block[_VARIANCE, 0], block[_OPEN, 0]
         if is_open == 0:
             continue
