@@ -194,7 +194,7 @@ def kernel_inputs(
         rows[:, -1] = marked_landmarks(frame.edges, landmark_map)[by_angle]
     return by_angle, (
         (mount.right_m, mount.back_m, mount.yaw_rad),
-        (mount.height_m, map_scale),
+        map_scale,
         kept_with(landmark_map, ("table", sigma_m), table),
         rows,
         first,

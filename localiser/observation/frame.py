@@ -176,7 +176,7 @@ class Frame:
         margin = sight.margin_px / camera.focal_px * np.array([-1.0, 1.0, -1.0, 1.0])
         bounds: list[float] = (np.array(camera.upright_bounds) + margin).tolist()
         tilt_rad, shortest = camera.mount.tilt_rad, max(sight.length_min_px, 1e-9) / camera.focal_px
-        image = (float(np.sin(tilt_rad)), float(np.cos(tilt_rad)), *bounds, shortest)
+        image = (float(np.sin(tilt_rad)), float(np.cos(tilt_rad)), *bounds, shortest, camera.mount.height_m)
         ranges = sight.range_min_m**2, sight.farthest_m**2, sight.range_max_m**2
         return image, (*ranges, float(widest_tangent(camera, sight)))
 

@@ -95,15 +95,16 @@ def _arctan(u: float) -> float:
 
 
 @inlined
-def _look(block: Array, lanes: int, landmark: Any, seen_in: Any) -> None:
+def _look(block: Array, lanes: int, one: Any, position_var: float, seen_in: Any) -> None:
     """Write how a block of cameras sees one landmark: the expected angle, its variance, ends, bins of edges near it.
 
     The same as `landmarks.sight`, with every division by the image's border multiplied out. Cameras that have it behind
     them expect no angle. For those that do not see it, it lies above all edges, and is in the open with probability 0.
+    one: the landmark as the map has it. position_var: its variance (m²). seen_in: see `edge_observation.kernel_inputs`.
     """
-    x, z, bottom, top, position_var = landmark
     image, (nearest, farthest, open_sq, widest), (bin_low, per_bin, last_bin), largest_var, is_slope = seen_in
-    s, c, a_left, a_right, e_low, e_high, length_min = image
+    s, c, a_left, a_right, e_low, e_high, length_min, height_m = image
+    x, z, bottom, top = one[0], one[1], one[2] - height_m, one[3] - height_m
     for m in range(lanes):
         dx, dz = x - block[_X, m], z - block[_Z, m]
         right, ahead = dx * block[_COS, m] - dz * block[_SIN, m], -(dx * block[_SIN, m] + dz * block[_COS, m])
@@ -334,7 +335,7 @@ def log_products(
     inputs: the image and the map, see `edge_observation.kernel_inputs`. visibility: (V, L) this probability. odds:
     (RATES,) o_k of ascending rates. rare: (E,) 1 / clutter_e.
     """
-    offset, (height_m, map_scale), landmarks, edges, first, seen_in, ends, span = inputs
+    offset, map_scale, landmarks, edges, first, seen_in, ends, span = inputs
     block = np.ones((_SEEN + len(visibility), BLOCK))
     density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
     factor, log_factor, mantissa = np.ones((RATES, BLOCK)), np.zeros((RATES, BLOCK)), np.ones(RATES * BLOCK)
@@ -347,8 +348,7 @@ def log_products(
             _place(poses, order, n, size, lanes, offset, block)
             for k in item[start[c] : start[c + 1]]:
                 one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
-                landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, sigma_m * sigma_m)
-                _look(block, lanes, landmark, seen_in)
+                _look(block, lanes, one, sigma_m * sigma_m, seen_in)
                 _count(block, lanes, visibility, k)
                 begin, end = _edges_near(block, lanes, first)
                 for e in range(begin, end):
@@ -389,7 +389,7 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
 
     item: landmarks to look at. inputs: as for `log_products`.
     """
-    offset, (height_m, map_scale), landmarks, edges, _, seen_in, ends, span = inputs
+    offset, map_scale, landmarks, edges, _, seen_in, ends, span = inputs
     block, poses = np.ones((_SEEN, 2)), np.zeros((2, 4))
     poses[:, :3] = pose
     seen, pairs = np.empty((len(item), 6)), np.empty((len(item) * len(edges), 5))
@@ -397,8 +397,7 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
     _place(poses, np.arange(2), 0, 2, 2, offset, block)
     for k in item:
         one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
-        landmark = (one[0], one[1], one[2] - height_m, one[3] - height_m, 1.0)
-        _look(block, 2, landmark, seen_in)
+        _look(block, 2, one, 1.0, seen_in)
         angle, per_m_sq, is_open = block[_ANGLE, 0], block[_VARIANCE, 0], block[_OPEN, 0]
         if is_open == 0:
             continue
