@@ -257,10 +257,10 @@ def _add_up(e: int, k: int, visibility: Array, block: Array, lanes: int, density
 def _multiply(
     density: Array, scale: Any, block: Array, lanes: int, odds: Array, factor: Array, log_factor: Array
 ) -> None:
-    """Multiply the factors by 1 + odds · ratio of one edge, and put large ones aside; its density is 0 from then on.
+    """Multiply the factors by 1 + odds · ratio of one edge, and put the logarithms of large ones aside.
 
-    scale: by which its density becomes the ratio, and whether the landmarks in view share it. The factor is 1 for
-    particles that the edge is not near, so that they stay as they are, to the last bit.
+    scale: by which its density, 0 from then on, becomes the ratio, and whether the landmarks in view share it. The
+    factor is 1 for particles that the edge is not near, so that they stay as they are, to the last bit.
     """
     per_density, is_shared = scale
     for m in range(lanes):
@@ -278,15 +278,9 @@ def _multiply(
     if large > 0:
         for m in range(lanes):
             if factor[RATES - 1, m] > SAFE:
-                _put_aside(factor, m, log_factor)
-
-
-@inlined
-def _put_aside(factor: Array, m: int, log_factor: Array) -> None:
-    """Make column m 1, and add its logarithms to those put aside."""
-    for k in range(RATES):
-        log_factor[k, m] += np.log(factor[k, m])
-        factor[k, m] = 1.0
+                for k in range(RATES):
+                    log_factor[k, m] += np.log(factor[k, m])
+                    factor[k, m] = 1.0
 
 
 @inlined
