@@ -69,10 +69,8 @@ class VisualOdometryParameters:
 
 # -- from two images to an increment ----------------------------------------------------------------------------------
 
-SCALE_SIGMA = 0.12
-"""Of the scale of all ranges: lower ends that are taken for feet stand on plinths and lower shelves of about 0.1 m."""
-SCALE_M = 2.0
-"""How far the robot drives until other things are in view, and the scale is another."""
+SCALE_SIGMA = 0.12  # of the scale of all ranges: what is taken for feet stands on plinths and shelves of about 0.1 m
+SCALE_M = 2.0  # how far the robot drives until other things are in view, and the scale is another
 
 
 @dataclass(frozen=True, slots=True, eq=False)
