@@ -167,15 +167,6 @@ def _count(block: Array, lanes: int, visibility: Array, k: int) -> None:
 
 
 @inlined
-def _edges_near(block: Array, lanes: int, first: Indices) -> tuple[int, int]:
-    """Return begin … end of the edges that are near for any particle of a block, and perhaps some more."""
-    lowest, highest = np.int64(block[_FIRST, 0]), np.int64(block[_END, 0])
-    for m in range(lanes):
-        lowest, highest = min(lowest, np.int64(block[_FIRST, m])), max(highest, np.int64(block[_END, m]))
-    return first[lowest], first[highest]
-
-
-@inlined
 def _normal(y: float) -> float:
     """Return exp(16 y) for y ≤ 0, at least e^-18."""
     y = y if y > _LEAST else _LEAST
@@ -344,8 +335,11 @@ def log_products(
                 one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
                 _look(block, lanes, one, sigma_m * sigma_m, seen_in)
                 _count(block, lanes, visibility, k)
-                begin, end = _edges_near(block, lanes, first)
-                for e in range(begin, end):
+                # Edges in these bins are near for any of the particles, and perhaps some more.
+                lowest, highest = np.int64(block[_FIRST, 0]), np.int64(block[_END, 0])
+                for m in range(lanes):
+                    lowest, highest = min(lowest, np.int64(block[_FIRST, m])), max(highest, np.int64(block[_END, m]))
+                for e in range(first[lowest], first[highest]):
                     if _weigh(edges[e], k, one, block, lanes, ends):
                         _add_up(e, k, visibility, block, lanes, density)
                         is_near[e] = True
