@@ -197,6 +197,9 @@ def test_what_edges_do_not_tell_stays_as_uncertain_as_before() -> None:
     blind = followed(edges_from(np.zeros(3), rng, feet=False), edges_from(motion, rng, feet=False))
     known = followed(edges_from(np.zeros(3), rng), edges_from(motion, rng))
     assert np.sqrt(blind.cov[1, 1]) > 5 * np.sqrt(known.cov[1, 1])
+    unknown = edges_from(np.zeros(3), rng)
+    unknown.bearing[:] = np.nan  # a lean alone, of a camera that looks straight ahead
+    np.testing.assert_allclose(followed(unknown, unknown).cov, ANYTHING.cov)
 
 
 def test_what_hangs_on_a_wall_near_by_is_not_taken_for_far_edges() -> None:
