@@ -82,7 +82,9 @@ def checkpoint_of(content: bytes, path: Path, identity: Mapping[str, str] | None
     """
     magic, _, rest = content.partition(b"\n")
     if magic != FORMAT.encode():
-        raise InputError(f"expected a checkpoint ({FORMAT}), found something else", path=path)
+        is_another = magic.startswith(FORMAT.rpartition("/")[0].encode()) and len(magic) < 40
+        found = magic.decode("ascii", "replace") if is_another else "something else"
+        raise InputError(f"expected a checkpoint ({FORMAT}), found {found}", path=path)
     digest, _, body = rest.partition(b"\n")
     if digest != sha256(body).hexdigest().encode():
         raise InputError("expected a whole checkpoint, found one that is damaged or cut off", path=path)
