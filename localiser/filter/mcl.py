@@ -20,7 +20,7 @@ from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief, Move
 from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_near, is_silent, moves_between
-from localiser.filter.height import COARSE_NOVELTY, COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, seen_from
+from localiser.filter.height import COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, seen_from
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
@@ -215,7 +215,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         pose, points = located.estimate.as_seen.pose, mcl.landmark_map.points
         landmarks = state.belief.landmarks.after(located.matches, points, pose, image.jump.novelty)
         state.belief = replace(state.belief, landmarks=landmarks)
-    state.height = _height(mcl, state, located, association, image)
+    if state.particles is not None and weighed is not None:
+        state.height = _height(mcl, state, located, association, image)
     state.map_error = _map_error(mcl, state, located, association, image.novelty)
     # Resample: where weights are uneven, or the number of particles is not the usual one.
     count, below = mcl.parameters.particles, mcl.parameters.resample_below
@@ -223,7 +224,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         weighed = particles.take(weighed, systematic_resample(weighed.weight, count, rng))
     state.particles = weighed
     seconds = (sighting.t_ns - state.at_ns) / 1e9
-    state.wheels = state.wheels.located(None if weighed is None else located.estimate, seconds)
+    state.wheels = state.wheels.located(None if weighed is None or located.took_over else located.estimate, seconds)
     state.at_ns, state.weighed, state.seen = sighting.t_ns, True, replace(sighting, clutter=clutter)
     return located
 
@@ -443,7 +444,7 @@ def _height_with_poses(
         return state.height
     if not np.isfinite(edges.ends_px).all() or is_measured(mcl.level.camera, edges):
         return state.height
-    is_new = not state.weighed or state.height.novelty >= COARSE_NOVELTY
+    is_new = not state.weighed or state.height.novelty >= LEAST_NOVELTY
     if not is_new or not np.isfinite([landmarks.bottom_m, landmarks.top_m]).any():
         return state.height
     camera, few = mcl.level.camera, mcl.moved(thinned(state.particles, FEW_MOVED), moves, rng)
@@ -460,7 +461,7 @@ def _height_with_poses(
 
 def _height(mcl: Mcl, state: FilterState, located: Located, association: Association | None, image: _Image) -> Height:
     """Return what is known of the camera's height after an image, while a place is tracked."""
-    if mcl.level is None or association is None or state.particles is None or not len(located.edges):
+    if mcl.level is None or association is None or not len(located.edges):
         return state.height
     height = state.height.seen(image.novelty if state.weighed else 0.0)
     if height.novelty < LEAST_NOVELTY or height.is_unknown or is_measured(mcl.level.camera, located.edges):
