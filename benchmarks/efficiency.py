@@ -73,7 +73,8 @@ def bearing_information(pose: Array, camera: Camera, points: Array, edges: Edges
     seen, camera_pose = points[edges.landmark_id], camera.pose_in_map(pose)
     sigma = edges.bearing_sigma
     if observation == "slope":
-        bearing = geometry.bearing_from_point(*np.moveaxis(geometry.robot_from_map(camera_pose, seen), -1, 0))
+        at = geometry.robot_from_map(camera_pose, seen)
+        bearing = np.arctan2(at[..., 0], -at[..., 1])
         sigma = edges.lean_sigma * geometry.bearing_per_lean(bearing, camera.mount.tilt_rad)
     return information(bearing_jacobian(pose, camera_pose, seen), sigma)
 

@@ -26,7 +26,8 @@ SPAN, INLIER_RATE, SIGMA = np.radians(64.0), 0.7, np.radians(1.5)
 
 def expected_bearings(pose: Array) -> Array:
     """Return the bearing of every landmark from a pose."""
-    return np.asarray(geometry.bearing_from_point(*np.moveaxis(geometry.robot_from_map(pose, LANDMARKS), -1, 0)))
+    seen = geometry.robot_from_map(pose, LANDMARKS)
+    return np.asarray(np.arctan2(seen[..., 0], -seen[..., 1]))
 
 
 def density(bearing: Array, pose: Array) -> Array:

@@ -166,7 +166,7 @@ def _psi_seen(
     stated = camera_of(SIZES[0], TILT_2_DEG)
     tilt_rad = stated.mount.tilt_rad
     true = stated.with_mount(tilt_rad=tilt_rad + np.deg2rad(tilt_error_deg), roll_rad=float(np.deg2rad(roll_error_deg)))
-    ends = np.array([_whole_edge(true, float(bearing)) for bearing in geometry.bearing_from_point(*seen.T)])
+    ends = np.array([_whole_edge(true, float(bearing)) for bearing in np.arctan2(seen[:, 0], -seen[:, 1])])
     slope = geometry.slope_from_lean(stated.lean_of_segments(ends))
     by_slope = -rotation_from_slopes(slope[:-1], slope[1:], tilt_rad)
     return np.stack([by_slope, -np.diff(stated.bearing_of_segments(ends))])

@@ -93,7 +93,7 @@ def _seen(edges: Edges, scene: Scene, pose: Array) -> Seen:
     """Return the edges that show a landmark: each the other's nearest, within a degree."""
     visible = visible_landmarks(scene.structure, scene.camera, pose).landmark
     points = geometry.robot_from_map(pose, scene.structure.landmark_map.points[visible])
-    apart = np.abs(edges.bearing[:, None] - geometry.bearing_from_point(*points.T))
+    apart = np.abs(edges.bearing[:, None] - np.arctan2(points[:, 0], -points[:, 1]))
     if apart.size == 0:
         return Seen(np.zeros(0, dtype=np.int64), edges.take(np.zeros(0, dtype=np.int64)))
     nearest, backwards = apart.argmin(axis=1), apart.argmin(axis=0)

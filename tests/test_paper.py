@@ -90,7 +90,8 @@ def test_the_docs_have_these_tables(make: Callable[[], Sheet]) -> None:
 
 def exact_view(points: np.ndarray, motion: np.ndarray) -> Seen:
     """Return edges at points (L, 2) as a camera sees them without any error after a motion (3,)."""
-    bearing = geometry.bearing_from_point(*geometry.robot_from_map(motion, points).T)
+    seen = geometry.robot_from_map(motion, points)
+    bearing = np.arctan2(seen[:, 0], -seen[:, 1])
     sigma = np.full(len(points), 1e-3)
     edges = Edges.from_columns(bearing, sigma, geometry.lean_from_bearing(bearing, TILT_RAD), sigma,
                                polarity=np.ones(len(points), dtype=np.int8))  # fmt: skip

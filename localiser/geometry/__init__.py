@@ -8,7 +8,6 @@ from localiser.geometry.poses import (
     arc_log,
     arc_motion,
     bearing_from_lean,
-    bearing_from_point,
     bearing_per_lean,
     between,
     circular_mean,

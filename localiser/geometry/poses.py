@@ -139,11 +139,6 @@ def sin_of_tilt(tilt_rad: float) -> float:
     return sine
 
 
-def bearing_from_point(x: ArrayLike, z: ArrayLike) -> Array:
-    """Return the bearing (rad, positive right) of a point (x, z) of the camera's level frame; ±pi/2 beside it."""
-    return np.asarray(np.arctan2(x, -np.asarray(z, dtype=np.float64)))
-
-
 def lean_from_bearing(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
     """Return the lean (rad) of a vertical edge at |bearing| < pi/2: tan(lean) = 1/m = s tan(b) [Taylor06] eq. 7."""
     return np.asarray(np.arctan(np.sin(tilt_rad) * np.tan(bearing_rad)))

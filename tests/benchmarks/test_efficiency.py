@@ -57,7 +57,8 @@ def test_no_motion_noise_no_measurement_and_a_known_start() -> None:
 
 def edges_of(pose: Array, points: Array, **changes: Array) -> Edges:
     camera_pose = CAMERA.pose_in_map(pose)
-    b = geometry.bearing_from_point(*geometry.robot_from_map(camera_pose, points).T)
+    seen = geometry.robot_from_map(camera_pose, points)
+    b = np.arctan2(seen[:, 0], -seen[:, 1])
     count = len(points)
     from_lean, from_line = CAMERA.bearing_jacobians(b, np.zeros(count))
     common = CommonError(("tilt", "roll"), np.diag([0.01**2, 0.01**2]), from_lean, from_line)

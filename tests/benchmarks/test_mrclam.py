@@ -41,7 +41,7 @@ def test_bearings_are_positive_to_the_right_and_fit_the_truth(folder: Path) -> N
     np.testing.assert_allclose(frame.edges.bearing, [-0.4636, 0.2, 0.3])
     pose = log.groundtruth.poses[0]
     x, z = geometry.robot_from_map(pose, log.landmark_map.points[0])
-    np.testing.assert_allclose(geometry.bearing_from_point(x, z), -0.4636, atol=1e-4)
+    np.testing.assert_allclose(np.arctan2(x, -z), -0.4636, atol=1e-4)
 
 
 def test_commands_become_exact_arcs() -> None:
@@ -101,7 +101,7 @@ def test_real_bearings_fit_the_truth(data_dir: Path, robot: int) -> None:
     for frame in log.frames:
         edges = frame.edges.take(frame.edges.landmark_id >= 0)
         points = geometry.robot_from_map(log.groundtruth.at(frame.t_ns), log.landmark_map.points[edges.landmark_id])
-        errors.append(edges.bearing - geometry.bearing_from_point(points[:, 0], points[:, 1]))
+        errors.append(edges.bearing - np.arctan2(points[:, 0], -points[:, 1]))
     degrees = np.degrees(geometry.wrap_angle(np.concatenate(errors)))
     assert len(degrees) > 1500
     assert abs(np.median(degrees)) < 0.3

@@ -40,7 +40,7 @@ def test_without_noise_edges_are_where_the_landmarks_project(landmark_map: Landm
     assert len(edges) >= 3
     camera_pose = CAMERA.pose_in_map(truth.poses[0])
     seen = geometry.robot_from_map(camera_pose, landmark_map.points[edges.landmark_id])
-    bearing = geometry.bearing_from_point(seen[:, 0], seen[:, 1])
+    bearing = np.arctan2(seen[:, 0], -seen[:, 1])
     np.testing.assert_allclose(edges.bearing, bearing, atol=1e-12)
     np.testing.assert_allclose(edges.lean, geometry.lean_from_bearing(bearing, CAMERA.mount.tilt_rad), atol=1e-12)
     np.testing.assert_allclose(CAMERA.bearing_of_segments(edges.ends_px), bearing, atol=1e-9)

@@ -218,7 +218,7 @@ def test_slope_is_that_of_any_two_points_of_the_edge(bearing, range_m, y_1, y_2,
     slope = slope_from_point(x, z, tilt)
     # The two points' differences cancel up to three digits.
     assert slope == pytest.approx(slope_of_projected_edge(x, z, y_1, y_2, tilt), rel=1e-9)
-    assert lean_from_slope(slope) == pytest.approx(g.lean_from_bearing(g.bearing_from_point(x, z), tilt), abs=1e-12)
+    assert lean_from_slope(slope) == pytest.approx(g.lean_from_bearing(np.arctan2(x, -z), tilt), abs=1e-12)
 
 
 @given(bearing=bearings, tilt=tilts)
@@ -244,7 +244,6 @@ def test_lean_is_smooth_where_slope_changes_its_sign():
 
 def test_edge_beside_the_camera_lies_flat():
     assert abs(slope_from_point(2.0, 0.0, TILT)) == 0
-    assert g.bearing_from_point([2.0, -2.0], 0.0).tolist() == [np.pi / 2, -np.pi / 2]
     np.testing.assert_allclose(g.lean_from_bearing([np.pi / 2, -np.pi / 2], TILT), [np.pi / 2, -np.pi / 2])
     np.testing.assert_allclose(g.bearing_from_lean([np.pi / 2, -np.pi / 2], TILT), [np.pi / 2, -np.pi / 2])
 
@@ -252,9 +251,7 @@ def test_edge_beside_the_camera_lies_flat():
 @given(bearing=bearings, tilt=tilts)
 def test_edge_behind_the_camera_has_the_line_of_the_one_opposite(bearing, tilt):
     x, z = np.sin(bearing), -np.cos(bearing)
-    behind = g.bearing_from_point(-x, -z)
-    assert abs(behind) >= np.pi / 2
-    assert g.lean_from_bearing(behind, tilt) == pytest.approx(g.lean_from_bearing(bearing, tilt), abs=1e-9)
+    assert g.lean_from_bearing(np.arctan2(-x, z), tilt) == pytest.approx(g.lean_from_bearing(bearing, tilt), abs=1e-9)
 
 
 def test_without_tilt_lean_is_zero_and_says_nothing():

@@ -28,7 +28,7 @@ POINTS = np.array(
 def edges_from(pose: Array, rng: np.random.Generator, points: Array = POINTS, feet: bool = True) -> Edges:
     """Return what a robot at `pose` sees of edges at `points` (E, 2), each with a look of its own."""
     at = geometry.robot_from_map(CAMERA.pose_in_map(pose), points)
-    bearing = geometry.bearing_from_point(*at.T) + BEARING_SIGMA * rng.standard_normal(len(points))
+    bearing = np.arctan2(at[:, 0], -at[:, 1]) + BEARING_SIGMA * rng.standard_normal(len(points))
     inverse = 1.0 / np.hypot(*at.T) + INVERSE_SIGMA * rng.standard_normal(len(points))
     unknown = np.full(len(points), np.nan)
     look = np.random.default_rng(1).uniform(0, 255, (len(POINTS) + 20, 8))[: len(points)]
