@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +22,13 @@ from localiser.landmarks.landmark_map import LandmarkMap
 class Sight:
     """Landmarks that cameras can see: P pairs (camera pose, landmark), sorted by pose.
 
-    pose, landmark: (P,) indices. tangent: (P,) tan(bearing). range_m: (P,) floor distance. length_px: (P,) length in
-    the image of the part that can be seen. e_bottom, e_top: (P,) upright image heights of the two ends, which may lie
-    outside the image; infinite where unknown.
+    pose, landmark: (P,) indices. tangent: (P,) tan(bearing). range_m: (P,) floor distance.
     """
 
     pose: NDArray[np.int64]
     landmark: NDArray[np.int64]
     tangent: Array
     range_m: Array
-    length_px: Array
-    e_bottom: Array
-    e_top: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +81,10 @@ def sight(
     pose, column = np.nonzero(possible)
     right, ahead, landmark = right[pose, column], ahead[pose, column], near[column]
     tangent = right / ahead
-    e_bottom, e_top = image_heights(camera, ahead, landmark_map.bottom_m[landmark], landmark_map.top_m[landmark])
-    length_px = visible_length_px(camera, tangent, e_bottom, e_top, parameters.margin_px)
+    e_ends = image_heights(camera, ahead, landmark_map.bottom_m[landmark], landmark_map.top_m[landmark])
+    length_px = visible_length_px(camera, tangent, *e_ends, parameters.margin_px)
     seen, range_m = length_px >= max(parameters.length_min_px, 1e-9), np.sqrt(range_squared[pose, column])
-    columns: tuple[Any, ...] = pose, landmark, tangent, range_m, length_px, e_bottom, e_top
-    return Sight(*[values[seen] for values in columns])
+    return Sight(pose[seen], landmark[seen], tangent[seen], range_m[seen])
 
 
 def in_camera(camera_poses: Array, points: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
 from localiser.geometry import Array
-from localiser.landmarks import LandmarkMap, sight
+from localiser.landmarks import LandmarkMap, image_heights, sight
 from localiser.observation import INLIER_RATES, EdgeObservation, Sighting
 from localiser.particles import CAMERA_YAW, Particles
 
@@ -58,7 +58,9 @@ def plain_pairs(
     lowest, highest = camera.upright_bounds[2] - margin, camera.upright_bounds[3] + margin
     seen = sight(camera, camera_pose[None], landmark_map, replace(limits, range_max_m=limits.farthest_m))
     sigma_m = sighting.map_scale * landmark_map.sigma_m(observation.parameters.landmark_sigma_m)
-    columns = np.column_stack([seen.tangent, seen.range_m, seen.e_bottom, seen.e_top, sigma_m[seen.landmark]])
+    ahead_m, of = seen.range_m * np.cos(np.arctan(seen.tangent)), seen.landmark
+    e_ends = image_heights(camera, ahead_m, landmark_map.bottom_m[of], landmark_map.top_m[of])
+    columns = np.column_stack([seen.tangent, seen.range_m, *e_ends, sigma_m[of]])
     for k, (t, range_m, *at, sigma) in zip(seen.landmark.tolist(), columns.tolist(), strict=True):
         expected, slope = compared(kind, atan(t), tilt_rad)
         shown = min(at[1], highest) - max(at[0], lowest)
