@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, circular_mean, cos_sin, wrap_angle
+from localiser.geometry import Array, cos_sin, wrap_angle
 
 Indices = NDArray[np.int64]
 
@@ -190,7 +190,8 @@ def thinned(particles: Particles, count: int) -> Particles:
 def centred(columns: Array, weight: Array) -> tuple[Array, Array]:
     """Return the mean (D,) of particles (D, N) of weight (N,), and what each is off it (D, N)."""
     mean = (columns[:, None] @ weight[:, None]).ravel()  # a dot product for each column
-    mean[2] = circular_mean(columns[2], weight)
+    cos, sin = cos_sin(columns[2])
+    mean[2] = np.arctan2(weight @ sin, weight @ cos)
     residual = columns - mean[:, None]
     residual[2] = wrap_angle(residual[2])
     return mean, residual

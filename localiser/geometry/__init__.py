@@ -10,7 +10,6 @@ from localiser.geometry.poses import (
     bearing_from_lean,
     bearing_per_lean,
     between,
-    circular_mean,
     compose,
     cos_sin,
     finite_numbers,

@@ -44,14 +44,6 @@ def cos_sin(angle: Array) -> tuple[Array, Array]:
     return cos, sin
 
 
-def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Return the direction (rad) of the weighted mean vector of unit vectors at `angles`."""
-    angles = np.asarray(angles, dtype=np.float64)
-    weights = np.ones_like(angles) if weights is None else np.asarray(weights, dtype=np.float64)
-    cos, sin = cos_sin(angles)
-    return float(np.arctan2(weights @ sin, weights @ cos))
-
-
 def forward(heading: ArrayLike) -> Array:
     """Return the unit vector (..., 2) straight ahead of a robot with this heading, in the map."""
     return np.stack([-np.sin(heading), -np.cos(heading)], axis=-1)

@@ -50,13 +50,6 @@ def test_both_ends_of_the_period_are_one_angle():
     np.testing.assert_array_equal(g.wrap_half_turn([np.pi / 2, -np.pi / 2]), [-np.pi / 2, -np.pi / 2])
 
 
-def test_circular_mean_across_the_seam_and_with_weights():
-    assert abs(g.circular_mean([np.pi - 0.1, -np.pi + 0.1])) == pytest.approx(np.pi)
-    assert g.circular_mean([0.2, 0.4, 3.0], [1, 1, 0]) == pytest.approx(0.3)
-    # Vectors 3 along 0 and 1 along pi/2.
-    assert g.circular_mean([0.0, np.pi / 2], [3, 1]) == pytest.approx(np.arctan2(1, 3))
-
-
 # -- poses ------------------------------------------------------------------------------------------------------------
 
 

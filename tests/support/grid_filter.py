@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from localiser.geometry import Array, Increment, circular_mean, wrap_angle
+from localiser.geometry import Array, Increment, wrap_angle
 
 NARROWEST_SIGMA_CELLS = 0.6  # a Gaussian narrower than this is no longer sampled faithfully by the cells' centres
 BORDER_MASS = 1e-6
@@ -49,7 +49,7 @@ class GridFilter:
     @property
     def mean(self) -> Array:
         """Mean pose (3,), the heading as a direction."""
-        heading = circular_mean(self.heading, self.p.sum(axis=(0, 1)))
+        heading = np.angle(self.p.sum(axis=(0, 1)) @ np.exp(1j * self.heading))
         return np.array([self.p.sum(axis=(1, 2)) @ self.x, self.p.sum(axis=(0, 2)) @ self.z, heading])
 
     @property

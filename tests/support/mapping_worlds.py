@@ -11,7 +11,7 @@ from simulated_edges import EdgeNoise, simulated_edges
 from localiser import documents, simulate
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, Trajectory, between, circular_mean, compose, wrap_angle
+from localiser.geometry import Array, Trajectory, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.mapping import Sightings, direction_of
 
@@ -20,7 +20,7 @@ WORLDS = Path(__file__).resolve().parents[2] / "configs" / "worlds"
 
 def parallax(headings: Array) -> float:
     """Return the widest angle (rad) between headings (K,) that lie within half a turn of each other."""
-    return float(np.ptp(wrap_angle(headings - circular_mean(headings))))
+    return float(np.ptp(wrap_angle(headings - np.angle(np.exp(1j * headings).mean()))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
