@@ -77,10 +77,8 @@ def compose(pose: ArrayLike, delta: ArrayLike) -> Array:
         (x, z, heading), (right, back, turn) = pose.ravel().tolist(), delta.tolist()
         cos, sin, turned = math.cos(heading), math.sin(heading), (heading + turn + math.pi) % (2 * math.pi) - math.pi
         return np.array([x + cos * right + sin * back, z - sin * right + cos * back, turned]).reshape(pose.shape)
-    cos, sin, right, back = np.cos(pose[..., 2]), np.sin(pose[..., 2]), delta[..., 0], delta[..., 1]
     moved = np.asarray(pose + delta)
-    moved[..., 0] = pose[..., 0] + cos * right + sin * back
-    moved[..., 1] = pose[..., 1] - sin * right + cos * back
+    moved[..., :2] = map_from_robot(pose, delta)
     moved[..., 2] = wrap_angle(moved[..., 2])
     return moved
 
@@ -93,10 +91,9 @@ def between(start: ArrayLike, end: ArrayLike) -> Array:
         cos, sin, dx, dz = math.cos(heading), math.sin(heading), end_x - x, end_z - z
         turn = (end_heading - heading + math.pi) % (2 * math.pi) - math.pi
         return np.array([cos * dx - sin * dz, sin * dx + cos * dz, turn])
-    cos, sin, moved = np.cos(start[..., 2]), np.sin(start[..., 2]), np.asarray(end - start)
-    dx, dz = moved[..., 0], moved[..., 1]
-    moved[..., 0], moved[..., 1] = cos * dx - sin * dz, sin * dx + cos * dz
-    moved[..., 2] = (moved[..., 2] + np.pi) % (2 * np.pi) - np.pi
+    moved = np.asarray(end - start)
+    moved[..., :2] = robot_from_map(start, end)
+    moved[..., 2] = wrap_angle(moved[..., 2])
     return moved
 
 
