@@ -206,7 +206,7 @@ def exact_edges(log: Path, name: str) -> Array:
     if (log / "edges_exact.csv").exists():
         columns = np.genfromtxt(log / "edges_exact.csv", delimiter=",", names=True)
         return np.stack([columns["x"], columns["z"]], axis=-1)
-    world = documents.read_model(WORLDS / f"{name}.yaml", simulate.World, simulate.world_of)
+    world = documents.validate(documents.load(WORLDS / f"{name}.yaml"), simulate.World, simulate.world_of)
     return simulate.structure_of(world).edges.points
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from localiser.camera import Camera, Mount
-from localiser.documents import read_model
+from localiser.documents import load, validate
 from localiser.geometry import Array, forward, wrap_angle
 from localiser.simulate import World, clearance_m, solids_of, world_of
 
@@ -31,7 +31,7 @@ def camera_of(size: Size, tilt_deg: float) -> Camera:
 
 def room() -> World:
     """Return the room."""
-    return read_model(Path(__file__).with_name("room.yaml"), World, world_of)
+    return validate(load(Path(__file__).with_name("room.yaml")), World, world_of)
 
 
 def draw_places(count: int, drive_m: float, rng: np.random.Generator) -> Array:

@@ -14,7 +14,6 @@ from localiser.documents.document import (
     nearest,
     parse,
     plain_name,
-    read_model,
     shown,
     validate,
 )

@@ -270,13 +270,8 @@ _UNKNOWN_KEY = {"extra_forbidden", "unexpected_keyword_argument"}
 _NOT_A_MAPPING = {"model_type", "dataclass_type", "dict_type", "model_attributes_type"}
 
 
-def read_model(path: Path, model: type[Model], build: Callable[[Any], Model] | None = None) -> Model:
-    """Return the model (pydantic, or a dataclass) that a YAML file describes; see `validate`. Raises InputError."""
-    return validate(load(path), model, build)
-
-
 def validate(document: Document, model: type[Model], build: Callable[[Any], Model] | None = None) -> Model:
-    """Return the model that the document describes.
+    """Return the model (pydantic, or a dataclass) that the document describes.
 
     build: makes the model from plain data where that takes more than its own validation. Raises InputError for the
     first thing that is wrong, with its place; an unknown key gets the nearest known one.

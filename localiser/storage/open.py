@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from localiser.documents import read_model
+from localiser.documents import load, validate
 from localiser.edges import BearingSensor
 from localiser.errors import InputError
 from localiser.filter import Start
@@ -66,7 +66,7 @@ def read_world(path: Path | str) -> World:
     """Return the world that a file describes. Raises InputError."""
     from localiser.simulate import World, world_of
 
-    return read_model(Path(path), World, world_of)
+    return validate(load(Path(path)), World, world_of)
 
 
 def simulate_log(world: World | Path | str, seed: int = 0) -> Log:

@@ -57,7 +57,7 @@ class World:
 @lru_cache
 def world(name: str) -> World:
     """Return the drive of a world that ships with the project."""
-    model = documents.read_model(WORLDS / f"{name}.yaml", simulate.World, simulate.world_of)
+    model = documents.validate(documents.load(WORLDS / f"{name}.yaml"), simulate.World, simulate.world_of)
     drive = _driven(simulate.simulated_log(model, 0))
     return replace(drive, odometry=drive.odometry.sampled(drive.truth.t_ns))
 
@@ -67,7 +67,7 @@ def laps(name: str, seed: int, distance_scale: float = 0.04, times: int | None =
 
     times: how often it is driven, by turns there and back; by default three times, through the office four.
     """
-    model = documents.read_model(WORLDS / f"{name}.yaml", simulate.World, simulate.world_of)
+    model = documents.validate(documents.load(WORLDS / f"{name}.yaml"), simulate.World, simulate.world_of)
     there = [way.to for way in model.drive.path]
     path = list(there)
     for time in range(1, times or (4 if name == "office" else 3)):
