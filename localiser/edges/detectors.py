@@ -164,7 +164,10 @@ def _significant(
     rows, width = field.fine.shape
     least = float(np.sqrt(2 * np.log(3 * width * rows**2 / 2)))
     kept = (blocks >= LEAST_BLOCKS) & (score > least) & (fitted.contrast >= min_contrast)
-    kept &= ~_is_soft(fitted, kept)
+    if kept.any():  # lines that are far wider than the sharpest tenth of them are shading, or a shadow
+        widest = np.sort((fitted.width + 2 * fitted.width_sigma)[kept])
+        sharp = max(float(widest[int(_SHARPEST * len(widest))]), SCALE_PX)
+        kept &= fitted.width - 2 * fitted.width_sigma <= _SOFT * sharp
     top, bottom = _extent(fitted.height, on, cells)
     return np.flatnonzero(kept), top, bottom
 
@@ -177,16 +180,6 @@ def _blur(fitted: Fitted, kept: NDArray[np.int64], cells: Cells) -> float:
     blocks = np.cumsum(cells.blocks[kept][order])
     median = float(fitted.width[kept][order][np.searchsorted(blocks, blocks[-1] / 2)])
     return max(median / _IN_FOCUS_PX, 1.0) ** 2
-
-
-def _is_soft(fitted: Fitted, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which lines (G,) are far wider than the sharpest tenth of those that are kept: shading, or a shadow."""
-    if not kept.any():
-        return np.zeros(len(kept), dtype=np.bool_)
-    widest, narrowest = fitted.width + 2 * fitted.width_sigma, fitted.width - 2 * fitted.width_sigma
-    among = widest[kept]
-    sharp = max(float(np.partition(among, int(_SHARPEST * len(among)))[int(_SHARPEST * len(among))]), SCALE_PX)
-    return np.asarray(narrowest > _SOFT * sharp)
 
 
 def _extent(height: Array, on: NDArray[np.bool_], cells: Cells) -> tuple[Array, Array]:
