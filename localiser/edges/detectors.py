@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Annotated, Protocol
 
 import cv2
@@ -111,35 +111,32 @@ _IN_FOCUS_PX = float(np.hypot(SCALE_PX, 1.1))  # width of an edge's slope: lens,
 _LEAST_HALVED_PX = 200  # images smaller than this are not halved: too little would remain
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """The detector `columns`. min_contrast: faintest edge that counts, as a fraction of its sides' brightness."""
+def columns(image: Image, camera: Camera, /, *, min_contrast: float) -> Segments:
+    """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view.
 
-    min_contrast: float
-
-    def __call__(self, image: Image, camera: Camera, /) -> Segments:
-        """Return the nearly vertical segments of a grey image (H, W) by searching the columns of its rectified view."""
-        field = gradient_field(image, camera)
-        rough, cells = rough_lines(field)
-        fitted = refined(rough, cells, field)
-        kept, top, bottom = _significant(fitted, cells, field, self.min_contrast)
-        if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
-            # There a blurred edge is a sharp one.
-            found = self(halved(image), half_camera(camera))
-            sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px
-            return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
-        fit, view = fitted.fit.take(kept), column_view(camera)
-        reach = np.sqrt(fit.spread / fit.weight)
-        points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
-        column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
-        upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
-        ideal_px = camera.ideal.pixels_from_upright(upright)
-        # How many pixels, across an edge, one column is wide.
-        cos_lean = np.cos(np.arctan(np.sin(camera.mount.tilt_rad) * view.tangent(fit.y)))
-        to_px = view.depth(fit.x * ROWS_PER_BLOCK) * cos_lean * camera.focal_px / view.columns_per_tangent
-        shift_sigma_px = to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept])
-        sigmas_px = to_px * np.sqrt(2 / fit.weight), shift_sigma_px
-        return Segments(ideal_px[:, :2], ideal_px[:, 2:], *sigmas_px, cells.polarity[kept])
+    min_contrast: faintest edge that counts, as a fraction of its sides' brightness.
+    """
+    field = gradient_field(image, camera)
+    rough, cells = rough_lines(field)
+    fitted = refined(rough, cells, field)
+    kept, top, bottom = _significant(fitted, cells, field, min_contrast)
+    if min(image.shape) >= _LEAST_HALVED_PX and _is_blurred(fitted, kept, cells, field):
+        # There a blurred edge is a sharp one.
+        found = columns(halved(image), half_camera(camera), min_contrast=min_contrast)
+        sigmas_px = 2 * found.sigma_px, 2 * found.shift_sigma_px
+        return Segments(2 * found.ends_px + 0.5, 2 * found.support_px + 0.5, *sigmas_px, found.polarity)
+    fit, view = fitted.fit.take(kept), column_view(camera)
+    reach = np.sqrt(fit.spread / fit.weight)
+    points = np.stack([bottom[kept] - 0.5, top[kept] - 0.5, fit.x + reach, fit.x - reach], axis=1)
+    column = fit.y[:, None] + fit.slope[:, None] * (points - fit.x[:, None])
+    upright = view.upright(column, points * ROWS_PER_BLOCK + (ROWS_PER_BLOCK - 1) / 2)
+    ideal_px = camera.ideal.pixels_from_upright(upright)
+    # How many pixels, across an edge, one column is wide.
+    cos_lean = np.cos(np.arctan(np.sin(camera.mount.tilt_rad) * view.tangent(fit.y)))
+    to_px = view.depth(fit.x * ROWS_PER_BLOCK) * cos_lean * camera.focal_px / view.columns_per_tangent
+    shift_sigma_px = to_px * np.hypot(fitted.shift[kept] * _blur(fitted, kept, cells), fitted.clipped[kept])
+    sigmas_px = to_px * np.sqrt(2 / fit.weight), shift_sigma_px
+    return Segments(ideal_px[:, :2], ideal_px[:, 2:], *sigmas_px, cells.polarity[kept])
 
 
 def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: GradientField) -> bool:
@@ -280,4 +277,4 @@ def _ideal_tables(camera: Camera) -> tuple[Array, NDArray[np.int16], NDArray[np.
     return np.array([camera.cx - ideal.cx, camera.cy - ideal.cy]), map_1, map_2, np.asarray(seen, dtype=np.uint8)
 
 
-DETECTORS.update(columns=Columns(EdgeParameters().min_contrast), lsd=lsd, hough=hough)
+DETECTORS.update(columns=partial(columns, min_contrast=EdgeParameters().min_contrast), lsd=lsd, hough=hough)

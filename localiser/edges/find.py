@@ -6,13 +6,14 @@ And how an image is exposed: too dark or washed out, by its grey levels.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from localiser.camera import Camera, Mount, MountSigma
-from localiser.edges.detectors import DETECTORS, Columns, Detector, EdgeParameters, registered, segments_of_lines
+from localiser.edges.detectors import DETECTORS, Detector, EdgeParameters, columns, registered, segments_of_lines
 from localiser.edges.measure import edges_of_segments, polarity_of_profiles, profiles, readout_of
 from localiser.edges.mount import LENS_SIGMA, NEAR_RAD, MountError, NadirMiss, fit_mount, nadir_miss
 from localiser.edges.types import Edges, Segments
@@ -61,8 +62,8 @@ def find_edges(
         lines, codes = sides_of_markers(grey, parameters.markers)
         sides, code = segments_of_lines(lines, camera, _MARKER_SIGMA_PX), np.concatenate([code, codes])
         sides = replace(sides, polarity=polarity_of_profiles(profiles(sides.ends_px, grey, camera)))
-        columns = ([getattr(one, each.name) for one in (taken, sides)] for each in fields(taken))
-        taken = Segments(*map(np.concatenate, columns))
+        both = ([getattr(one, each.name) for one in (taken, sides)] for each in fields(taken))
+        taken = Segments(*map(np.concatenate, both))
     segments, readout, turn_sigma_rad = taken, readout_of(camera, twist), np.zeros(len(taken))
     if readout is not None:
         rate, rate_sigma = readout.rates(taken.ends_px)
@@ -95,7 +96,7 @@ def _detector_of(parameters: EdgeParameters) -> Detector:
         detector = DETECTORS[registered(parameters.detector)]
     except ValueError as error:
         raise InputError(f"{error}, found {parameters.detector!r}", field="detector") from None
-    return Columns(parameters.min_contrast) if isinstance(detector, Columns) else detector
+    return partial(columns, min_contrast=parameters.min_contrast) if parameters.detector == "columns" else detector
 
 
 def grey_image(image: Image, camera: Camera) -> Image:

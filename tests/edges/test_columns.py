@@ -10,7 +10,7 @@ from edge_images import camera_of, wall_image
 
 from localiser.edges import EdgeParameters, find_edges
 from localiser.edges.columns import KERNEL, change_of, clutter, gradient_field, peaks_of
-from localiser.edges.detectors import Columns
+from localiser.edges.detectors import columns
 from localiser.edges.lines import Groups
 from localiser.edges.views import ROWS_AT_ONCE, ROWS_PER_BLOCK, column_view
 
@@ -256,7 +256,7 @@ def test_soft_shading_among_sharp_edges_is_no_edge(width_px, found):
 @pytest.mark.parametrize("shape", [(3, 9), (6, 40), (12, 16)])
 def test_images_too_small_to_hold_an_edge_are_searched_in_vain(shape):
     image = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
-    assert len(Columns(PARAMETERS.min_contrast)(image, camera_of(shape[1], shape[0]))) == 0
+    assert len(columns(image, camera_of(shape[1], shape[0]), min_contrast=PARAMETERS.min_contrast)) == 0
 
 
 @pytest.mark.parametrize("off_deg", [-3.0, 3.0])
