@@ -58,21 +58,16 @@ class GradientField:
 def gradient_field(image: Image, camera: Camera) -> GradientField:
     """Return the gradient field of a grey image (H, W) of `camera`; 0 where the image has nothing to show."""
     grey, (unseen, inside, some) = column_view(camera).blocks(image), unseen_blocks(camera)
-    fine = _filtered(grey, KERNEL.reshape(1, -1), cv2.BORDER_REPLICATE)
+    fine = np.asarray(cv2.filter2D(grey, -1, KERNEL[None], borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
     fine[unseen] = 0.0
     least = _LEAST_NOISE_GREY * float(np.linalg.norm(KERNEL)) / np.sqrt(ROWS_PER_BLOCK * ROWS_AT_ONCE)
     noise = max(_robust_sigma(fine, some), least)
     fine /= np.float32(noise)
-    smooth = _filtered(fine, ALONG.reshape(-1, 1), cv2.BORDER_CONSTANT)
+    smooth = np.asarray(cv2.filter2D(fine, -1, ALONG[:, None], borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
     # A Gaussian of scale √3 s on top of one of scale s makes one of scale 2 s.
     coarse = np.asarray(cv2.GaussianBlur(fine, (0, 1), sigmaX=np.sqrt(3.0) * SCALE_PX), dtype=np.float32)
     smooth_sigma = max(_robust_sigma(smooth, some), float(np.linalg.norm(ALONG)))
     return GradientField(fine, smooth, coarse, change_of(fine), inside, noise, smooth_sigma, grey)
-
-
-def _filtered(values: NDArray[np.float32], kernel: NDArray[np.floating], border: int) -> NDArray[np.float32]:
-    """Return values (B, W) correlated with a kernel."""
-    return np.asarray(cv2.filter2D(values, cv2.CV_32F, kernel, borderType=border), dtype=np.float32)
 
 
 def _robust_sigma(values: NDArray[np.float32], some: NDArray[np.int64]) -> float:

@@ -16,8 +16,6 @@ from localiser.edges.columns import ALONG, KERNEL, SCALE_PX, GradientField, peak
 from localiser.geometry import Array
 from localiser.geometry.compiled import compiled
 
-Values = Array | NDArray[np.int64]
-
 
 class LineFit(NamedTuple):
     """Weighted straight lines y(x), one per group (G,): through (x, y) with `slope`.
@@ -31,7 +29,7 @@ class LineFit(NamedTuple):
     weight: Array
     spread: Array
 
-    def at(self, group: NDArray[np.int64], x: Values) -> Array:
+    def at(self, group: NDArray[np.int64], x: Array | NDArray[np.int64]) -> Array:
         """Return y (K,) of the lines of groups (K,) at x (K,)."""
         return np.asarray(self.y[group] + self.slope[group] * (x - self.x[group]))
 
@@ -51,7 +49,7 @@ class Groups:
         """Return the sum (G,) of values (K,) of each group."""
         return np.asarray(np.bincount(self.of, values, self.count), dtype=np.float64)
 
-    def line(self, x: Values, y: Array, weight: Array) -> LineFit:
+    def line(self, x: Array | NDArray[np.int64], y: Array, weight: Array) -> LineFit:
         """Return the weighted least-squares line of each group through (x, y) (K,)."""
         total = np.maximum(self.sum(weight), 1e-12)
         mean_x, mean_y = self.sum(weight * x) / total, self.sum(weight * y) / total

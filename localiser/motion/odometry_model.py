@@ -38,7 +38,6 @@ class MotionModel(Protocol):
 
     def predict(self, particles: Particles, increment: Increment, rng: np.random.Generator) -> Particles:
         """Return the particles moved by `increment`, each with its own draw of the noise."""
-        ...
 
 
 @dataclass(frozen=True)
