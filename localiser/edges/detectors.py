@@ -80,12 +80,8 @@ class EdgeParameters:
     gate_sigma: Annotated[
         float, Field(gt=0, le=10, description="how far a vertical edge may miss the nadir point (sigmas)")
     ] = 3.0
-    tilt_sigma_deg: Annotated[
-        float, Field(ge=0, le=10, description="how certain the camera's stated tilt is (deg, 1 sigma)")
-    ] = 0.5
-    roll_sigma_deg: Annotated[
-        float, Field(ge=0, le=10, description="how certain the camera's stated roll is (deg, 1 sigma)")
-    ] = 0.3
+    tilt_sigma_deg: Annotated[float, Field(ge=0, le=10, description="error of the stated tilt (deg, 1 sigma)")] = 0.5
+    roll_sigma_deg: Annotated[float, Field(ge=0, le=10, description="error of the stated roll (deg, 1 sigma)")] = 0.3
     markers: Annotated[
         str,
         AfterValidator(_dictionary),

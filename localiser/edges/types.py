@@ -138,9 +138,7 @@ class BearingSensor:
     """A sensor that reports bearings and no image; stands in for a camera through a nominal tilt."""
 
     bearing_sigma_deg: Annotated[float, Field(gt=0, le=45, description="error of one bearing (degrees, 1 sigma)")] = 1.5
-    half_view_deg: Annotated[float, Field(gt=1, le=80, description="half the horizontal field of view (degrees)")] = (
-        33.0
-    )
+    half_view_deg: Annotated[float, Field(gt=1, le=80, description="half the horizontal view (degrees)")] = 33.0
     tilt_deg: Annotated[
         float, Field(gt=0, lt=90, description="nominal tilt through which a bearing becomes a slope (degrees)")
     ] = 20.0

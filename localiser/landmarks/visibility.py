@@ -35,19 +35,11 @@ class Sight:
 class SightParameters:
     """Which landmarks count as visible."""
 
-    range_max_m: Annotated[
-        float, Field(gt=0, description="walls are expected to hide most landmarks that are farther away (m)")
-    ] = 12.0
-    range_far_m: Annotated[
-        float, Field(gt=0, description="landmarks farther away are not expected at all, as down a long corridor (m)")
-    ] = 25.0
+    range_max_m: Annotated[float, Field(gt=0, description="walls hide most landmarks that are farther away (m)")] = 12.0
+    range_far_m: Annotated[float, Field(gt=0, description="landmarks farther away are not expected at all (m)")] = 25.0
     range_min_m: Annotated[float, Field(ge=0, description="landmarks nearer than this are not expected (m)")] = 0.2
-    length_min_px: Annotated[
-        float, Field(ge=0, description="an edge whose part inside the image is shorter is not expected (px)")
-    ] = 15.0
-    margin_px: Annotated[
-        float, Field(ge=0, description="how far outside the image an edge still counts as visible (px)")
-    ] = 5.0
+    length_min_px: Annotated[float, Field(ge=0, description="shortest visible part that is expected (px)")] = 15.0
+    margin_px: Annotated[float, Field(ge=0, description="how far outside the image an edge still counts (px)")] = 5.0
 
     @property
     def farthest_m(self) -> float:

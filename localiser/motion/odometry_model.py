@@ -49,9 +49,7 @@ class ConstantErrorParameters:
     veer_sigma_deg_per_m: Annotated[
         float, Field(ge=0, le=90, description="turn of the robot while the wheels say straight on (degrees/m)")
     ] = 0.5
-    delay_sigma_s: Annotated[
-        float, Field(ge=0, le=1, description="by how much the robot is later, or earlier, than odometry says (s)")
-    ] = 0.0
+    delay_sigma_s: Annotated[float, Field(ge=0, le=1, description="delay of the robot behind its odometry (s)")] = 0.0
     yaw_sigma_deg: Annotated[float, Field(ge=0, le=90, description="of the camera's stated yaw (degrees)")] = 1.0
     memory_m: Annotated[
         float, Field(gt=0, description="way after which an estimate of them is forgotten: tyres, floors, loads (m)")
