@@ -145,13 +145,9 @@ def links_loop(
             least = np.inf
             for by in range(-1, 2):
                 other = who[row[p] + 2 * side, column[p] + 1 + by]
-                if other < 0 or polarity[other] != polarity[p]:
-                    continue
-                apart = abs(position[other] - position[p])
-                if apart < least:
-                    least, nearest[side, p] = apart, other
-    chain = np.empty(count, np.int64)
-    chains = 0
+                if other >= 0 and polarity[other] == polarity[p] and abs(position[other] - position[p]) < least:
+                    least, nearest[side, p] = abs(position[other] - position[p]), other
+    chain, chains = np.empty(count, np.int64), 0
     for p in range(count):
         above = nearest[0, p]
         if above >= 0 and nearest[1, above] == p:

@@ -221,13 +221,11 @@ def same_edge_loop(
 
     told_apart: (S, 2) least difference that can be told apart, and by scatter. extent: (S, 2) lowest and highest e.
     """
-    count = len(bearing)
-    edge = np.full(count, -1, np.int64)
-    edges = 0
+    edge, edges = np.full(len(bearing), -1, np.int64), 0
     for first in order:
         if edge[first] >= 0:
             continue
-        for other in range(count):
+        for other in range(len(bearing)):
             if edge[other] >= 0 or polarity[other] != polarity[first]:
                 continue
             by_tilt, by_roll = per_mount[other] - per_mount[first]
