@@ -34,7 +34,5 @@ def cos_sin_of(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     for n in range(len(angle)):
         quarter = np.floor(angle[n] / _QUARTER + 0.5)
         d = angle[n] - quarter * _QUARTER - quarter * _QUARTER_REST
-        cos, sin = cos_sin_near(quarter, d)
-        result[0, n] = cos
-        result[1, n] = sin
+        result[0, n], result[1, n] = cos_sin_near(quarter, d)
     return result
