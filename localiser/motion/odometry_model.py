@@ -188,9 +188,8 @@ def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple
     """Return the variances (m², rad²) of the distance and of the turn; 0 where the increment knows its covariance."""
     if increment.cov.any():
         return 0.0, 0.0
-    path, turned = increment.path_m, increment.turned_rad
-    distance = parameters.alpha3 * path + parameters.alpha4 * turned
-    turn = parameters.alpha1 * turned + parameters.alpha2 * path
+    distance = parameters.alpha3 * increment.path_m + parameters.alpha4 * increment.turned_rad
+    turn = parameters.alpha1 * increment.turned_rad + parameters.alpha2 * increment.path_m
     return distance, turn
 
 
