@@ -189,16 +189,6 @@ class Light:
     bright_grey: float
     saturated: float
 
-    @property
-    def is_dark(self) -> bool:
-        """Whether too little light came in."""
-        return self.bright_grey < DARK_GREY
-
-    @property
-    def is_washed_out(self) -> bool:
-        """Whether too much light came in."""
-        return self.saturated > WASHED_OUT
-
 
 def light_of(image: Image | bytes) -> Light:
     """Return how an image (H, W) or (H, W, 3), uint8, or as a file, is exposed, at an eighth of its size."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from localiser.edges import light_of
+from localiser.edges import DARK_GREY, WASHED_OUT, light_of
 from localiser.filter import NOT_FOUND, SURE, LocatedFrame
 from localiser.geometry import Array, between
 
@@ -121,9 +121,9 @@ class Monitor:
             )
         if frame.image is not None and self.counts["located"] % LIT_EVERY == 1:
             light = light_of(frame.image)
-            if light.is_dark:
+            if light.bright_grey < DARK_GREY:
                 self.warn("dark images", f"the image is dark: 95 % is below grey level {light.bright_grey:.0f} of 255")
-            if light.is_washed_out:
+            if light.saturated > WASHED_OUT:
                 self.warn("washed-out images", f"the image is washed out: {light.saturated:.0%} of it is white")
         now = time.monotonic()
         self._first, self._last = self._first or now, now

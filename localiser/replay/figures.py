@@ -223,7 +223,8 @@ def _silence_warnings(run: Results) -> list[str]:
 def _light_warnings(run: Results) -> list[str]:
     """Return that many images are too dark or washed out, as texts for people."""
     light = run.light
-    dark, washed_out = [one for one in light if one.is_dark], [one for one in light if one.is_washed_out]
+    dark = [one for one in light if one.bright_grey < DARK_GREY]
+    washed_out = [one for one in light if one.saturated > WASHED_OUT]
     texts, fewest = [], max(BADLY_LIT * len(light), WRONG_IMAGES)
     if len(dark) >= fewest:
         grey = np.median([one.bright_grey for one in dark])

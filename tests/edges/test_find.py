@@ -11,7 +11,9 @@ from folders import ROOT
 from localiser.camera import Camera
 from localiser.config import read_config
 from localiser.edges import (
+    DARK_GREY,
     DETECTORS,
+    WASHED_OUT,
     EdgeParameters,
     Edges,
     Segments,
@@ -330,7 +332,7 @@ def test_images_of_the_corridor_in_other_light(gain, verdict):
     for path in IMAGES:
         image = np.clip(gain * cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), 0, 255).astype(np.uint8)
         light = light_of(image)
-        found.add("dark" if light.is_dark else "washed out" if light.is_washed_out else "")
+        found.add("dark" if light.bright_grey < DARK_GREY else "washed out" if light.saturated > WASHED_OUT else "")
     assert found == {verdict}
 
 
