@@ -280,7 +280,8 @@ def validate(document: Document, model: type[Model], build: Callable[[Any], Mode
     schema = Schema(adapter)
     for key, value in items(document.value):
         # pydantic would take yes for 1; in YAML a bare yes, no, on or off is true or false.
-        if isinstance(value, bool) and schema.kind(key) in ("number", "integer"):
+        kinds = {one.get("type") for one in schema.at(key)} if isinstance(value, bool) else set()
+        if kinds - {"null"} in ({"number"}, {"integer"}):
             raise document.error(key, f"expected a number, found {str(value).lower()}")
     try:
         return build(document.value) if build else adapter.validate_python(document.value)
@@ -294,7 +295,8 @@ def _first_problem(document: Document, error: ValidationError, schema: Schema) -
     problem = next((found for found in problems if found["type"] in _UNKNOWN_KEY), problems[0])
     key = _written_key(document.value, problem["loc"])
     if problem["type"] in _UNKNOWN_KEY:
-        text = f"unknown key; {nearest(str(key[-1]), schema.names(key[:-1]))}"
+        known = {name for one in schema.at(key[:-1]) for name in one.get("properties", {})}
+        text = f"unknown key; {nearest(str(key[-1]), [*known])}"
     elif problem["type"].startswith("missing"):
         key = (*key, problem["loc"][-1])
         text = "expected a value, found nothing"
@@ -346,15 +348,6 @@ class Schema:
     @cached_property
     def _root(self) -> dict[str, Any]:
         return self._adapter.json_schema()
-
-    def names(self, key: Key) -> list[str]:
-        """Return the keys that the model knows at `key`."""
-        return sorted({name for schema in self.at(key) for name in schema.get("properties", {})})
-
-    def kind(self, key: Key) -> str | None:
-        """Return the JSON type that the model wants at `key`, None when there are several or none."""
-        kinds = {schema.get("type") for schema in self.at(key)} - {"null"}
-        return kinds.pop() if len(kinds) == 1 else None
 
     def at(self, key: Key) -> list[dict[str, Any]]:
         """Return what the model takes at `key`: one schema, more for a union, none for a key that it does not know."""
