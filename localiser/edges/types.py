@@ -112,8 +112,7 @@ class Edges:
     @classmethod
     def none(cls) -> Edges:
         """Return the edges of an image that shows none."""
-        empty = np.zeros(0)
-        return cls.from_columns(empty, empty, empty, empty)
+        return cls.from_columns(*np.zeros((4, 0)))
 
     def longest(self, most: int) -> Edges:
         """Return the `most` longest edges, in the order that they have; all where there are no more."""

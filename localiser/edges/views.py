@@ -21,7 +21,6 @@ _GRID_PX = 8  # spacing of the grid on which lens models are computed; a cubic b
 @lru_cache(maxsize=8)
 def half_camera(camera: Camera) -> Camera:
     """Return the cached camera of images in which two rows and two columns have been averaged to one."""
-    shutter = camera.shutter
     return replace(
         camera,
         width=camera.width // 2,
@@ -30,7 +29,7 @@ def half_camera(camera: Camera) -> Camera:
         fy=camera.fy / 2,
         cx=(camera.cx - 0.5) / 2,
         cy=(camera.cy - 0.5) / 2,
-        shutter=shutter and RollingShutter(2 * shutter.row_time_s, (shutter.stamp_row - 0.5) / 2),
+        shutter=camera.shutter and RollingShutter(2 * camera.shutter.row_time_s, (camera.shutter.stamp_row - 0.5) / 2),
     )
 
 
