@@ -40,8 +40,7 @@ class Quality:
     @classmethod
     def unknown(cls, count: int) -> Quality:
         """Return the quality of `count` landmarks of which nothing is known."""
-        nothing = np.full(count, np.nan)
-        return cls(nothing, nothing, nothing)
+        return cls(*np.full((3, count), np.nan))
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Quality:
         """Return the quality of the landmarks at `index`."""
