@@ -219,12 +219,11 @@ class Localiser:
         """
         self._check(self._camera and self._camera.at(valid_mount(mount)), images=True)
         begin = perf_counter()
-        if isinstance(image, bytes):
+        pixels = image
+        if isinstance(pixels, bytes):
             size, name = (self.camera.width, self.camera.height), Path("image")
-            check_whole(image, size, path=name)
-            pixels = decoded(image, size, path=name)
-        else:
-            pixels = image
+            check_whole(pixels, size, path=name)
+            pixels = decoded(pixels, size, path=name)
         loaded = perf_counter()
         edges = find_edges(pixels, self.camera, self.config.edges, mount=mount, twist=twist, detector=self._detector)
         found = perf_counter()
@@ -382,9 +381,8 @@ def check_settings(
     they end in the image. has_start: whether it is known where the robot starts. own_observation: whether the
     observation is one's own, which observation.kind and observation.association do not concern.
     """
-    known, slope = config.observation.association == "known", config.observation.kind == "slope"
-    if own_observation:
-        known = slope = False
+    known = config.observation.association == "known" and not own_observation
+    slope = config.observation.kind == "slope" and not own_observation
     source = config.increments.source
     if known and images:
         raise InputError(
