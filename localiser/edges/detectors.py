@@ -77,9 +77,7 @@ class EdgeParameters:
     min_contrast: Annotated[
         float, Field(ge=0, le=2, description="faintest edge that counts, as a fraction of the brightness of its sides")
     ] = 0.08
-    gate_sigma: Annotated[
-        float, Field(gt=0, le=10, description="how far a vertical edge may miss the nadir point (sigmas)")
-    ] = 3.0
+    gate_sigma: Annotated[float, Field(gt=0, le=10, description="allowed miss of the nadir point (sigmas)")] = 3.0
     tilt_sigma_deg: Annotated[float, Field(ge=0, le=10, description="error of the stated tilt (deg, 1 sigma)")] = 0.5
     roll_sigma_deg: Annotated[float, Field(ge=0, le=10, description="error of the stated roll (deg, 1 sigma)")] = 0.3
     markers: Annotated[
@@ -87,9 +85,7 @@ class EdgeParameters:
         AfterValidator(_dictionary),
         Field(description="ArUco or AprilTag markers that are looked for too, such as tag36h11; empty: none"),
     ] = ""
-    plumb_sigma_deg: Annotated[
-        float, Field(ge=0, le=5, description="how far a building's vertical edges are from plumb (deg, 1 sigma)")
-    ] = 0.3
+    plumb_sigma_deg: Annotated[float, Field(ge=0, le=5, description="how far edges are off plumb (deg, 1 sigma)")] = 0.3
 
     @property
     def mount_sigma_rad(self) -> Array:
