@@ -7,7 +7,7 @@ large it is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -41,10 +41,6 @@ class Quality:
     def unknown(cls, count: int) -> Quality:
         """Return the quality of `count` landmarks of which nothing is known."""
         return cls(*np.full((3, count), np.nan))
-
-    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Quality:
-        """Return the quality of the landmarks at `index`."""
-        return Quality(self.sightings[index], self.parallax_rad[index], self.existence[index])
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -136,7 +132,8 @@ class LandmarkMap:
         chosen: dict[str, Any] = {name: getattr(self, name)[index] for name in arrays}
         for name in ("ids", "source", "extra") if self.extra else ("ids", "source"):
             chosen[name] = tuple(getattr(self, name)[i] for i in index)
-        return replace(self, **chosen, quality=self.quality and self.quality.take(index))
+        quality = self.quality and Quality(*(getattr(self.quality, each.name)[index] for each in fields(Quality)))
+        return replace(self, **chosen, quality=quality)
 
 
 _OF_MAPS: WeakKeyDictionary[LandmarkMap, dict[tuple[Any, ...], Any]] = WeakKeyDictionary()
