@@ -279,11 +279,6 @@ class Localiser:
         """Locate the images after the last pose of the wheels; the robot is taken to have stood still since then."""
         return self._located(finish(self._mcl, self.state, self.rng))
 
-    def forget_wheels(self, t_ns: int) -> None:
-        """Take the robot to stand at `t_ns` where it was believed to be: its wheels begin to count anew."""
-        self.state.odometry.clear()
-        self.state.begin_at(t_ns)
-
     # -- the state ----------------------------------------------------------------------------------------------------
 
     @property

@@ -99,7 +99,8 @@ class Resumed:
             timeline.resume(state.odometry[-1])
             self.text = "resumed; the wheels tell what happened in between"
         else:
-            localiser.forget_wheels(t_ns if first is None else min(first.t_ns, t_ns))
+            state.odometry.clear()
+            state.begin_at(t_ns if first is None else min(first.t_ns, t_ns))
             self.text = "resumed; the wheels begin anew, so the robot is taken to be where it was"
         self.content = localiser.save()
         found = state.belief.places(state.particles)[1]
