@@ -205,13 +205,9 @@ class Increment:
         jac_self = np.array([[1.0, 0.0, -sin * x + cos * z], [0.0, 1.0, -cos * x - sin * z], [0.0, 0.0, 1.0]])
         jac_later = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         cov = jac_self @ self.cov @ jac_self.T + jac_later @ later.cov @ jac_later.T
-        return Increment(
-            compose(self.mean, later.mean),
-            cov,
-            float(self.path_m + later.path_m),
-            float(self.turned_rad + later.turned_rad),
-            jac_self @ self.by_delay + jac_later @ later.by_delay,
-        )
+        path_m, turned_rad = float(self.path_m + later.path_m), float(self.turned_rad + later.turned_rad)
+        by_delay = jac_self @ self.by_delay + jac_later @ later.by_delay
+        return Increment(compose(self.mean, later.mean), cov, path_m, turned_rad, by_delay)
 
 
 def finite_numbers(name: str, values: ArrayLike, *shapes: tuple[int | str, ...]) -> Array:
