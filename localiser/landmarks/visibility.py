@@ -64,12 +64,8 @@ def sight(
     near = np.flatnonzero(is_near)
     right, ahead = in_camera(camera_poses, points[near])
     range_squared = right**2 + ahead**2
-    possible = (
-        (ahead > 0)
-        & (range_squared <= parameters.range_max_m**2)
-        & (range_squared >= parameters.range_min_m**2)
-        & (np.abs(right) <= ahead * widest_tangent(camera, parameters))
-    )
+    in_range = (range_squared <= parameters.range_max_m**2) & (range_squared >= parameters.range_min_m**2)
+    possible = (ahead > 0) & in_range & (np.abs(right) <= ahead * widest_tangent(camera, parameters))
     pose, column = np.nonzero(possible)
     right, ahead, landmark = right[pose, column], ahead[pose, column], near[column]
     tangent = right / ahead
