@@ -287,11 +287,9 @@ class Localiser:
 
         Observation, motion model and detector of one's own are told apart by the names of their classes.
         """
-        return identity_of(
-            self.config.of_results(),
-            map=self.landmark_map.without_remarks(),
-            camera=self._camera and replace(self._camera, name=""),
-        ) | {f"own {part}": _name_of(own) for part, own in self._own.items() if own is not None}
+        camera = self._camera and replace(self._camera, name="")
+        own = {f"own {part}": _name_of(one) for part, one in self._own.items() if one is not None}
+        return identity_of(self.config.of_results(), map=self.landmark_map.without_remarks(), camera=camera) | own
 
     def save(self, shift_ns: int = 0) -> bytes:
         """Return the state and the generator, to go on with later. shift_ns: what is added to all times.
@@ -432,12 +430,9 @@ def _in_frame_of_its_map(frame: LocatedFrame, landmark_map: LandmarkMap) -> Loca
     mean, columns = located.estimate.mean.copy(), located.particles.columns.copy()
     mean[:3] -= origin
     columns[:3] -= origin[:, None]
-    moved = replace(
-        located,
-        estimate=replace(located.estimate, mean=mean),
-        particles=replace(located.particles, columns=columns),
-        clusters=clusters and replace(clusters, mean=clusters.mean - origin),
-    )
+    estimate, particles = replace(located.estimate, mean=mean), replace(located.particles, columns=columns)
+    clusters = clusters and replace(clusters, mean=clusters.mean - origin)
+    moved = replace(located, estimate=estimate, particles=particles, clusters=clusters)
     return replace(frame, located=moved, map_name=name)
 
 
