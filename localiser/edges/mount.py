@@ -124,11 +124,8 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
         cov = np.asarray(np.linalg.inv(certain - np.diag(np.append(narrow, 1.0) ** -2.0) + prior), dtype=np.float64)
         begun = np.append(start, 0.0)
         return near._replace(state=begun + cov @ (certain @ near.state - prior @ begun), state_cov=cov)
-    variance, crooked_variance = miss.sigma**2, miss.crooked**2
-    if not learn_crooked:
-        variance, crooked_variance = variance + crooked_variance, np.zeros(len(variance))
     prior_variance = np.maximum(np.append(prior_sigma_rad, 1.0), 1e-9) ** 2
-    arguments = miss.angle, miss.per_mount, variance, crooked_variance, prior_variance
+    arguments = miss.angle, miss.per_mount, miss.sigma**2, miss.crooked**2, prior_variance
     state, cov, factor = compiled(mount_loop)(*arguments, _SCATTER_ITERATIONS if learn_crooked else 0)
     return MountError(state, cov, float(np.sqrt(factor)))
 
