@@ -176,10 +176,16 @@ def edges_of_segments(
     if len(segments) == 0:
         return Edges.none()
     groups = Groups(edge, int(edge.max()) + 1)
-    bearing, bearing_sigma = _bearings(segments, groups, camera)
+    ideal = camera.ideal
+    each, sigma = ideal.bearings_of_segments(segments.support_px, segments.across_sigma_px)
+    weight = sigma**-2
+    total = groups.sum(weight)
+    bearing = groups.sum(weight * each) / total
+    # Segments that differ by more than their sigmas make a bearing less certain.
+    apart = groups.sum(weight * (each - bearing[edge]) ** 2) / np.maximum(np.bincount(edge) - 1, 1)
+    bearing_sigma = np.sqrt(np.maximum(apart, 1.0) / total)
     lean, lean_sigma, upright_ends, middle_e = _lean_and_ends(segments, groups, camera)
     image_ends = camera.image_from_upright(upright_ends)
-    ideal = camera.ideal
     ends_px, ideal_px = camera.pixels_from_image(image_ends), ideal.pixels_from_image(image_ends)
     pieces_px = groups.sum(np.linalg.norm(segments.ends_px[:, 1] - segments.ends_px[:, 0], axis=-1))
     polarity = np.zeros(groups.count, dtype=np.int8)
@@ -209,18 +215,6 @@ def edges_of_segments(
         profile=profiles(ideal_px, image, camera, taken_of),
         common=common_error(bearing, middle_e, camera, mount_sigma_rad, turn),
     )
-
-
-def _bearings(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array, Array]:
-    """Return the bearing (E,) of each edge, its segments' weighted mean, and its sigma, also by how they differ."""
-    ideal = camera.ideal
-    each, sigma = ideal.bearings_of_segments(segments.support_px, segments.across_sigma_px)
-    weight = sigma**-2
-    total = groups.sum(weight)
-    bearing = groups.sum(weight * each) / total
-    members = np.bincount(groups.of, minlength=groups.count)
-    apart = groups.sum(weight * (each - bearing[groups.of]) ** 2) / np.maximum(members - 1, 1)
-    return bearing, np.sqrt(np.maximum(apart, 1.0) / total)
 
 
 def _lean_and_ends(segments: Segments, groups: Groups, camera: Camera) -> tuple[Array, Array, Array, Array]:
