@@ -10,6 +10,5 @@ from localiser.landmarks.visibility import (
     landmark_ends,
     predicted_lines,
     sight,
-    visible_length_px,
     widest_tangent,
 )

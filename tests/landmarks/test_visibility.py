@@ -22,9 +22,9 @@ from localiser.landmarks import (
     in_view_of_cells_loop,
     reach_of,
     sight,
-    visible_length_px,
 )
 from localiser.landmarks.landmark_map import MOST_PIECES, PIECE_M, Reach
+from localiser.landmarks.visibility import visible_length_px
 
 MARGIN_NONE = SightParameters(range_max_m=8.0, range_min_m=0.3, length_min_px=20.0, margin_px=0.0)
 
