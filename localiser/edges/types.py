@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -123,10 +123,9 @@ class Edges:
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Edges:
         """Return the edges at `index` (indices or mask (E,)), in that order."""
-        names = ("rejected_px", "mount", "height_sigma_m")
-        whole = {"common": self.common.take(index)} | {name: getattr(self, name) for name in names}
+        whole = ("common", "rejected_px", "mount", "height_sigma_m")
         columns = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in whole}
-        return Edges(**columns, **whole)
+        return replace(self, common=self.common.take(index), **columns)
 
 
 # -- edges that were measured elsewhere -------------------------------------------------------------------------------
