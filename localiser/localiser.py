@@ -177,8 +177,9 @@ class Localiser:
         """
         if not self.can_look_everywhere:
             raise InputError("expected an observation that can look for the robot on the whole map; state a start")
+        event = Anywhere(_AT_NEXT if t_ns is None else _nanoseconds(t_ns))
         self._drop_waiting(t_ns, found=False)
-        return self._step(self._mcl, Anywhere(_AT_NEXT if t_ns is None else _nanoseconds(t_ns)))
+        return self._step(self._mcl, event)
 
     def _drop_waiting(self, t_ns: int | None, *, found: bool) -> None:
         """Begin anew: drop images that wait for the wheels and were taken before a time; all where it is None."""

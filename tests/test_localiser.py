@@ -475,10 +475,12 @@ def test_a_time_that_is_no_integer_is_refused(t_ns: object) -> None:
         lambda: by_own.measurement(t_ns, [3.5]),
     ]
     if t_ns is not None:
-        calls.append(lambda: one.start([0, 0, 0], np.eye(3), t_ns))
+        calls += [lambda: one.start([0, 0, 0], np.eye(3), t_ns), lambda: one.look_everywhere(t_ns)]
+    one.edges(10, Edges.none())
     for call in calls:
         with pytest.raises(InputError, match=r"^t_ns: expected an integer of nanoseconds, found"):
             call()
+    assert [image.t_ns for image in one.state.waiting] == [10], "nothing is lost"
 
 
 def test_edges_without_wheels_need_a_camera() -> None:
