@@ -13,7 +13,6 @@ k times their first value, except with a probability of at most 1 / k.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,15 +54,6 @@ BESIDE = 0.25  # candidates while a place is tracked, as a part of those while n
 TRACKED_UNFIT, UNFIT = (0.7, 15.0), (0.97, 22.0)  # while a place is tracked, and while none is
 NO_MAP = 0.7  # the same of a place that is tracked, where near landmarks are missing:
 MISSING = 0.3  # below this probability of the map, by them
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Move:
-    """The motion since the last image: as odometry says, the model of its noise, and what moves particles by it."""
-
-    increment: Increment
-    model: MotionModel
-    of: Callable[[Particles], Particles]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,21 +114,22 @@ class Belief:
         like: Particles,
         sighting: Sighting,
         jump: Jump,
-        move: Move,
+        increment: Increment,
+        motion: MotionModel,
         rng: np.random.Generator,
     ) -> Belief:
-        """Return the belief after an image.
+        """Return the belief after an image, until which the candidates have moved already.
 
         found: what it says of the tracked place, None where none is tracked. like: particles whose constant errors hold
-        elsewhere too, those tracked if any are. jump: how new the image is. move: since the last image.
+        elsewhere too, those tracked if any are. jump: how new the image is. increment: since the last image.
         """
         is_tracked, carried = found is not None, jump.carried(search.parameters.carried)
         edges = search.known_edges(sighting)
         novelty = max(jump.novelty, carried)
         maps = self.landmarks.maps if self.is_known else len(search.landmark_map.maps)
         landmarks = replace(self.landmarks, maps=maps)
-        begun = replace(self, history=self.history.moved(move.increment, novelty), landmarks=landmarks)
-        belief = begun._judged(search, found, sighting, edges >= FEWEST_EDGES, jump, move)
+        begun = replace(self, history=self.history.moved(increment, novelty), landmarks=landmarks)
+        belief = begun._judged(search, found, sighting, edges >= FEWEST_EDGES, jump)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         told = novelty / scenes if edges >= FEWEST_EDGES else 0.0  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
@@ -148,7 +139,7 @@ class Belief:
             return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
-            belief = belief._explored(search, like, is_tracked, sighting, new, most_effort, move.model, rng)
+            belief = belief._explored(search, like, is_tracked, sighting, new, most_effort, motion, rng)
         if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.parameters.particles_most) if is_tracked else search.parameters.particles_most
@@ -156,7 +147,7 @@ class Belief:
         return replace(belief, candidates=candidates, unproposed=0.0, history=belief.history.with_image(sighting))
 
     def _judged(
-        self, search: GlobalLocalisation, found: Weighed | None, sighting: Sighting, sees: bool, jump: Jump, move: Move
+        self, search: GlobalLocalisation, found: Weighed | None, sighting: Sighting, sees: bool, jump: Jump
     ) -> Belief:
         """Return the belief after transitions and Bayes' rule. sees: whether the image has more than a few edges."""
         carried = jump.carried(search.parameters.carried)
@@ -175,11 +166,10 @@ class Belief:
         is_explained = not is_suspected and explained > SUPPORTED * (1.0 - blind)
         candidates, log_elsewhere = self.candidates, 0.0
         if candidates is not None:
-            moved = replace(candidates, particles=move.of(candidates.particles))
-            (by_rate, _), within = search.evidence(moved.particles, sighting), None
+            (by_rate, _), within = search.evidence(candidates.particles, sighting), None
             if not is_explained:
-                within = search.observation.log_likelihood(moved.particles, sighting, search.landmark_map)
-            candidates, log_elsewhere = moved.weighed(by_rate, novelty, needs_landmarks=sees, within=within)
+                within = search.observation.log_likelihood(candidates.particles, sighting, search.landmark_map)
+            candidates, log_elsewhere = candidates.weighed(by_rate, novelty, needs_landmarks=sees, within=within)
         limits = np.array([0.0, np.inf])
         if is_explained:
             gain = max(log_tracked, 0.0)

@@ -18,7 +18,7 @@ from pydantic import Field
 from localiser import particles
 from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level
-from localiser.filter.belief import RELEASED, Belief, Move
+from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_near, is_silent, moves_between
 from localiser.filter.height import COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, seen_from
 from localiser.filter.map_error import SCALES, MapError
@@ -365,9 +365,11 @@ def _compared(
     weighed = None if found is None else found.particles
     if mcl.search is None:
         return weighed
-    move = Move(image.drive.increment, mcl.motion, lambda cloud: mcl.moved(cloud, image.drive.moves, rng))
-    like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
-    belief = state.belief.after(mcl.search, found, like, image.sighting, image.jump, move, rng)
+    like, belief, drive = weighed if weighed is not None else _of_candidates(mcl, state, rng), state.belief, image.drive
+    if belief.candidates is not None:
+        moved = mcl.moved(belief.candidates.particles, drive.moves, rng)
+        belief = replace(belief, candidates=replace(belief.candidates, particles=moved))
+    belief = belief.after(mcl.search, found, like, image.sighting, image.jump, drive.increment, mcl.motion, rng)
     if weighed is not None:
         belief = belief.beside(weighed.estimate.pose)
     elif belief.candidates is None:

@@ -10,7 +10,7 @@ from simulated_edges import EdgeNoise, simulated_edges
 from localiser import geometry, particles
 from localiser.edges import Edges
 from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
-from localiser.filter.belief import BARE, Belief, Move
+from localiser.filter.belief import BARE, Belief
 from localiser.filter.events import is_near
 from localiser.filter.scene import Jump
 from localiser.filter.tempering import Weighed
@@ -189,13 +189,13 @@ def after(
     search: GlobalLocalisation = SEARCH,
 ) -> Belief:
     """Return the belief after an image of a robot that stood still."""
-    still, found = Move(Increment.from_mean(np.zeros(3)), MotionParameters(), lambda cloud: cloud), None
+    still, found = Increment.from_mean(np.zeros(3)), None
     if few is not None:
         shown = belief.landmarks.shown(len(search.landmark_map))
         views = np.stack([np.ones_like(shown), shown])
         by_rate = search.observation.by_views(few, sighting, search.landmark_map, views)
         found = Weighed(few, InlierRate.unknown(), few, *by_rate)
-    return belief.after(search, found, like, sighting, jump, still, np.random.default_rng(0))
+    return belief.after(search, found, like, sighting, jump, still, MotionParameters(), np.random.default_rng(0))
 
 
 def test_probabilities_add_up_to_one_and_follow_the_edges() -> None:
@@ -392,10 +392,13 @@ def followed_from(
         return places(poses, np.full(400, np.log(1e-80 / 400))), 0.0
 
     monkeypatch.setattr(GlobalLocalisation, "proposed", proposed)
-    move = Move(increment, model, lambda cloud: model.predict(cloud, increment, rng))
     for index, sighting in enumerate(images.events[1::2]):
         jump = Jump(0.6 if index else 1.0, 20.0 if is_told and index == carried_at else 0.0)
-        belief = belief.after(SEARCH, None, cloud(np.zeros((5, 3))), sighting, jump, move, rng)  # type: ignore[arg-type]
+        if belief.candidates is not None:
+            moved = model.predict(belief.candidates.particles, increment, rng)
+            belief = replace(belief, candidates=replace(belief.candidates, particles=moved))
+        like = cloud(np.zeros((5, 3)))
+        belief = belief.after(SEARCH, None, like, sighting, jump, increment, model, rng)  # type: ignore[arg-type]
         believed.append(belief)
     return believed
 
