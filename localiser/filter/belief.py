@@ -154,10 +154,11 @@ class Belief:
         novelty = max(jump.novelty, carried)
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
         log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
-        if found is not None and found.by_rate is not None and found.shown_by_rate is not None:
-            detections, log_tracked = _rated(found.before, PLACE_POWER * found.by_rate, detections, novelty)
-            shown, log_shown = _rated(found.before, PLACE_POWER * found.shown_by_rate, shown, novelty)
-            blind = float(found.before.weight[(found.by_rate == 0.0).all(axis=0)].sum())
+        if found is not None and found.by_views is not None:
+            every, visible = PLACE_POWER * found.by_views
+            detections, log_tracked = _rated(found.before, every, detections, novelty)
+            shown, log_shown = _rated(found.before, visible, shown, novelty)
+            blind = float(found.before.weight[(every == 0.0).all(axis=0)].sum())
             support = self.support
         seen_m = (1.0 - blind) * jump.path_m
         shows_marker = (marked_landmarks(sighting.edges, search.landmark_map) >= 0).any()

@@ -33,15 +33,14 @@ class Weighed:
     """Particles that an image has weighed, and what it says of their place.
 
     particles: after the image. inliers: what is then known of the inlier rate. before: some particles that the image
-    had not weighed yet. by_rate, shown_by_rate: (K, N) log p(edges | particle, p_k) of these for every detection rate,
-    where all landmarks in view may show, and where some are hidden; None with an observation of one's own.
+    had not weighed yet. by_views: (2, K, N) log p(edges | particle, p_k) of these for every detection rate, where all
+    landmarks in view may show, and where some are hidden; None with an observation of one's own.
     """
 
     particles: Particles
     inliers: InlierRate
     before: Particles
-    by_rate: Array | None
-    shown_by_rate: Array | None
+    by_views: Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,14 +94,13 @@ class Tempering:
         found = own_log_likelihood(self.observation, moved, self.sighting, self.landmark_map)
         return np.tile(found, (len(INLIER_RATES), 1))  # the same whatever the rate
 
-    def _of_place(self, moved: Particles) -> tuple[Particles, Array | None, Array | None]:
+    def _of_place(self, moved: Particles) -> tuple[Particles, Array | None]:
         """Return some of the particles, and of edges where a place is judged what they say of it, as in `Weighed`."""
         few = particles.thinned(moved, FEW_JUDGED)
         if not isinstance(self.observation, EdgeObservation) or self.visible is None:
-            return few, None, None
+            return few, None
         views = np.stack([np.ones_like(self.visible), self.visible])
-        by_rate, shown = self.observation.by_views(few, self.sighting, self.landmark_map, views, BLUR_RAD)
-        return few, by_rate, shown
+        return few, self.observation.by_views(few, self.sighting, self.landmark_map, views, BLUR_RAD)
 
     def _blurs(self, moved: Particles) -> list[float]:
         """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.

@@ -193,8 +193,8 @@ def after(
     if few is not None:
         shown = belief.landmarks.shown(len(search.landmark_map))
         views = np.stack([np.ones_like(shown), shown])
-        by_rate = search.observation.by_views(few, sighting, search.landmark_map, views)
-        found = Weighed(few, InlierRate.unknown(), few, *by_rate)
+        by_views = search.observation.by_views(few, sighting, search.landmark_map, views)
+        found = Weighed(few, InlierRate.unknown(), few, by_views)
     return belief.after(search, found, like, sighting, jump, still, MotionParameters(), np.random.default_rng(0))
 
 
