@@ -89,10 +89,6 @@ class Height:
         known = ((1.0 - FORGOTTEN) * self.probability + FORGOTTEN * _STATED) * np.exp(log_fit)
         return Height(known / known.sum())
 
-    def seen(self, novelty: float) -> Height:
-        """Return it with the novelty of one more image, 0 … 1."""
-        return replace(self, novelty=min(self.novelty + novelty, 1.0))
-
     def after(self, offset: Array, per_height: Array, camera: Camera) -> Height:
         """Return what is known after the ends (P,) of an image, `Association.end_offsets` at the stated height."""
         if not len(offset):

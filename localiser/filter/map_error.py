@@ -9,7 +9,7 @@ same in every image that shows it, so errors of edges are taken to repeat along 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,10 +38,6 @@ class MapError:
     def decorrelation(self) -> float:
         """By how much longer errors of edges repeat than they do with a map as good as stated; 1 with a better one."""
         return max(self.scale, 1.0)
-
-    def seen(self, novelty: float) -> MapError:
-        """Return it with the novelty of one more image, 0 … 1."""
-        return replace(self, novelty=min(self.novelty + novelty, 1.0))
 
     def after(self, by_scale: Array) -> MapError:
         """Return what is known after an image with log p(edges | scale) (K,)."""

@@ -465,7 +465,8 @@ def _height(mcl: Mcl, state: FilterState, located: Located, association: Associa
     """Return what is known of the camera's height after an image, while a place is tracked."""
     if mcl.level is None or association is None or not len(located.edges):
         return state.height
-    height = state.height.seen(image.novelty if state.weighed else 0.0)
+    new = image.novelty if state.weighed else 0.0
+    height = replace(state.height, novelty=min(state.height.novelty + new, 1.0))
     if height.novelty < LEAST_NOVELTY or height.is_unknown or is_measured(mcl.level.camera, located.edges):
         return height
     stated = mcl.level.camera.at(located.edges.mount)
@@ -479,5 +480,5 @@ def _map_error(
     is_sure = state.particles is not None and located.p_correct >= SURE
     if association is None or mcl.correlation.association == "known" or not len(located.edges) or not is_sure:
         return state.map_error
-    found = state.map_error.seen(novelty)
+    found = replace(state.map_error, novelty=min(state.map_error.novelty + novelty, 1.0))
     return found if found.novelty < LEAST_NOVELTY else found.after(association.by_map_scale(SCALES))

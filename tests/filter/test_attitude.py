@@ -233,7 +233,7 @@ def test_the_sigma_holds_though_most_ends_are_hidden() -> None:
     for _ in range(200):
         off_m, height = rng.normal(0.0, 0.03), Height()
         for _ in range(5):
-            height = height.seen(1.0).after(*ends(off_m, 20, 14, rng), CAMERA)
+            height = replace(height, novelty=1.0).after(*ends(off_m, 20, 14, rng), CAMERA)
         far.append((height.mean_m - off_m) / height.sigma_m)
     assert np.mean(np.abs(far) < 3.0) >= 0.98 and np.std(far) < 1.2
 
@@ -258,10 +258,10 @@ def test_until_it_is_known_the_height_is_weighed_together_with_poses() -> None:
 
 
 def test_an_image_without_ends_tells_nothing() -> None:
-    height = Height().seen(0.5)
+    height = Height(novelty=0.5)
     after = height.after(np.zeros(0), np.zeros(0), CAMERA)
     np.testing.assert_array_equal(after.probability, height.probability)
-    assert after.novelty == 0.0 and height.novelty == 0.5 and height.seen(0.9).novelty == 1.0
+    assert after.novelty == 0.0
 
 
 def test_edges_are_seen_from_the_height_that_was_found() -> None:

@@ -69,20 +69,20 @@ def test_what_is_learnt_needs_more_than_one_image_and_is_forgotten() -> None:
     told = np.where(SCALES > 3.9, 6.0, 0.0)
     known = MapError()
     assert 1.0 < known.scale < 1.25  # no map is much better than it says
-    assert known.seen(0.5).after(told).scale < 2.0
+    assert replace(known, novelty=0.5).after(told).scale < 2.0
     for _ in range(20):
-        known = known.seen(0.5).after(told)
+        known = replace(known, novelty=0.5).after(told)
     assert known.scale > 4.0
     assert known.decorrelation == known.scale
     for _ in range(2000):
-        known = known.seen(0.5).after(np.zeros(len(SCALES)))
+        known = replace(known, novelty=0.5).after(np.zeros(len(SCALES)))
     assert 1.0 < known.scale < 1.35
 
 
 def test_better_maps_do_not_make_images_count_for_more() -> None:
     known = MapError()
     for _ in range(50):
-        known = known.seen(1.0).after(np.where(SCALES < 0.8, 2.0, 0.0))
+        known = replace(known, novelty=1.0).after(np.where(SCALES < 0.8, 2.0, 0.0))
     assert known.scale < 1.0
     assert known.decorrelation == 1.0
 
@@ -96,11 +96,11 @@ def told_by(scale: float) -> Array:
 def test_where_the_map_becomes_another_a_few_images_tell(before: float, after: float) -> None:
     known = MapError()
     for _ in range(1000):
-        known = known.seen(1.0).after(told_by(before))
+        known = replace(known, novelty=1.0).after(told_by(before))
     assert known.scale == pytest.approx(before, rel=0.3)
     images = 0
     while abs(np.log(known.scale / after)) > np.log(1.5):
-        known, images = known.seen(1.0).after(told_by(after)), images + 1
+        known, images = replace(known, novelty=1.0).after(told_by(after)), images + 1
     assert images <= 10
 
 
