@@ -179,7 +179,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     """
     silent = is_silent(state.odometry, state.at_ns, sighting.t_ns)
     # Bearings without ends do not tell how far the robot went.
-    if silent and mcl.odometer is not None and state.is_begun and np.isfinite(sighting.edges.ends_px).all():
+    if silent and mcl.odometer is not None and np.isfinite(sighting.edges.ends_px).all():
         mcl = mcl.by_edges()
     measured = replace(sighting, map_scale=state.map_error.scale)
     sighting = _from_height(mcl, state, measured)
@@ -326,21 +326,17 @@ def _contradicted(
     weighed: the particles, where the wheels lead.
     """
     seconds, seen, increment = (sighting.t_ns - state.at_ns) / 1e9, state.seen, image.drive.increment
-    odometer, observation = mcl.odometer, mcl.edges
+    odometer, observation, before = mcl.odometer, mcl.edges, state.particles
     if observation is None or odometer is None or odometer.parameters.source == "vision":
         return None
     # Later the robot may go on at any pace: nothing can be judged.
-    if seen is None or not state.weighed or state.particles is None or not 0 < seconds <= odometer.parameters.pace_s:
+    if seen is None or before is None or not 0 < seconds <= odometer.parameters.pace_s:
         return None
     if not len(sighting.edges) or not len(seen.edges):
         # The particles follow the wheels. While these are doubted, that tells no pace.
         state.wheels = replace(state.wheels, fit=state.wheels.wrong == 0.0)
         return None
-    before, level = state.particles, replace(image.sighting, persistent=None)
-
-    def images() -> TwoImages:
-        then, now = (one.edges.longest(MOST_FOLLOWED) for one in (seen, sighting))
-        return TwoImages.of(then, now, odometer.camera)
+    level = replace(image.sighting, persistent=None)
 
     def fit_of(cloud: Particles) -> float:
         fit = state.inliers.log_mean(observation.by_rate(cloud, level, mcl.landmark_map))
@@ -348,7 +344,7 @@ def _contradicted(
 
     state.wheels, motion = state.wheels.after(
         np.array([fit_of(thinned(weighed, FEW_TOLD)), image.jump.log_fit]),
-        images,
+        lambda: TwoImages.of(seen.edges.longest(MOST_FOLLOWED), sighting.edges.longest(MOST_FOLLOWED), odometer.camera),
         lambda motion: fit_of(mcl.moved(thinned(before, FEW_TOLD), [motion], rng)),
         increment,
         covariance_of(mcl.motion, increment),
