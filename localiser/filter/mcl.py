@@ -24,7 +24,7 @@ from localiser.filter.height import COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_me
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
-from localiser.filter.tempering import Tempering, Weighed
+from localiser.filter.tempering import FEW_JUDGED, Tempering, Weighed
 from localiser.filter.wheels import MOST_FOLLOWED, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
@@ -45,7 +45,6 @@ from localiser.particles import POSE, Particles, log_sum, systematic_resample, t
 from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer, TwoImages, increment_of, with_scale
 
-FEW_MOVED = 512  # particles that tell the height together with poses
 FEW_TOLD = 64  # particles that tell how well a motion predicts an image
 
 
@@ -445,7 +444,7 @@ def _height_with_poses(
     is_new = not state.weighed or state.height.novelty >= LEAST_NOVELTY
     if not is_new or not np.isfinite([landmarks.bottom_m, landmarks.top_m]).any():
         return state.height
-    camera, few = mcl.level.camera, mcl.moved(thinned(state.particles, FEW_MOVED), moves, rng)
+    camera, few = mcl.level.camera, mcl.moved(thinned(state.particles, FEW_JUDGED), moves, rng)
     spread_rad, sigma_rad = observation.scales(few, sighting, landmarks)
     blur_rad = max(spread_rad / len(few) ** (1 / len(POSE)) - sigma_rad, 0.0)
 

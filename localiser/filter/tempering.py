@@ -25,7 +25,7 @@ from localiser.observation import (
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
 from localiser.relocalisation import BLUR_RAD
 
-FEW_JUDGED = 512  # particles that tell how well an image fits the place that they are at
+FEW_JUDGED = 512  # particles that tell how well an image fits the place that they are at, and how high the camera is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
