@@ -31,7 +31,7 @@ from localiser.observation.sighting import ObservationParameters, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles
 
 FRAMES = 64  # that are kept: an image is asked for some twenty times, and those of the last scenes with every image
-INPUTS = 8  # of loops that are kept: an image is asked for some ten times, with two blurs
+INPUTS = 40  # of loops that are kept: an image is asked for with several blurs, of a lost robot with 24 earlier ones
 _CELL = (0.5, 0.5, 2 * np.pi / 32)  # m, m, rad; larger where particles are few
 _PER_CELL = 32  # particles, at least, if they were spread evenly
 _SMALLEST = 1e-6  # m, m, rad
