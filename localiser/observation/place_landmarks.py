@@ -14,6 +14,7 @@ in its stead, and fade as scenes do.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ ANOTHER = 0.01  # odds that a map which is believed is of another building
 _FORGOTTEN = 1e-4  # scenes that are not kept
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PlaceLandmarks:
     """What images showed of M landmarks.
 
@@ -53,7 +54,7 @@ class PlaceLandmarks:
         scenes[self.landmark] += self.seen
         return np.asarray(scenes[:, 0] / scenes.sum(axis=1))
 
-    @property
+    @cached_property
     def log_odds(self) -> float:
         """The log-odds of a map of this building to another one, by the landmarks beside the robot alone."""
         from scipy.special import betaln
