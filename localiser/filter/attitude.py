@@ -1,15 +1,14 @@
-"""The attitude: tilt and roll of the camera, estimated together with the pose by a Kalman filter of two states.
+"""The attitude: tilt and roll of the camera, estimated by a Kalman filter of two states (docs/filter.md).
 
 An error of the mount moves all edges of an image together, and those of the next image in the same way, so averaging
 does not reduce it. As an error of each edge it would let an edge fit several landmarks. But a vertical edge points at
-the nadir point, whatever the pose and the landmark. So the distances by which the edges of an image miss this point
-determine the mount [Taylor06], without knowing the pose. Edges are corrected by the estimated tilt and roll. The common
-error that remains has the uncertainty of this estimate.
+the nadir point, whatever the pose and the landmark [Taylor06]. What the edges of an image tell of that corrects them.
+The uncertainty that remains is common to them.
 
-Tilt and roll change slowly, because floors are uneven and a load shifts: an Ornstein-Uhlenbeck process that forgets
-over 100 m. Half a degree of stated uncertainty then allows 0.14° between places 4 m apart: 10 mm, which is what DIN
-18202 allows a floor. A mount that is stated for an image without a sigma was measured, and its edges are taken as they
-are, as those are that a map was made of. With a sigma of its own, its error is another in each image.
+Floors are uneven and a load shifts, so what was learnt is forgotten over 100 m. Half a degree of stated uncertainty
+then allows 0.14° between places 4 m apart: 10 mm, which is what DIN 18202 allows a floor. A mount that is stated for
+an image without a sigma was measured, and its edges are taken as they are, as those are that a map was made of. With a
+sigma of its own, its error is another in each image.
 """
 
 from __future__ import annotations

@@ -1,11 +1,5 @@
 """The belief: which of five hypotheses holds. Their probabilities add up to one (docs/belief.md has the model).
 
-    tracked     the robot is among the particles that are followed
-    unmapped    it is there, and what it sees is not on the map
-    elsewhere   it is at another place of the map, among the candidates
-    unexplored  it is at a place of the map where nobody has looked yet
-    off map     it is outside what is mapped, or this is the map of another building
-
 If clutter were predicted exactly, a place on a wrong map would have an expected likelihood, relative to clutter, of 1
 in every image, whatever the images before. By Ville's inequality, the odds of being on that map would then never exceed
 k times their first value, except with a probability of at most 1 / k.
@@ -285,9 +279,6 @@ class Belief:
         """Return the particles at the likeliest place, and the belief in which they are tracked; None if not yet.
 
         maps: among which places compete.
-
-        A place is tracked in the particles' stead at odds of 50 against them, if it is likelier than all else. Where
-        none are tracked, it is as soon as hardly any other candidate is left.
         """
         if self.candidates is None:
             return None

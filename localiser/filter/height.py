@@ -1,13 +1,9 @@
 """The height of the camera above the floor, learnt from where the edges of known landmarks end (docs/filter.md).
 
-A camera that sits lower than is stated sees the feet of all landmarks too low in the image, by more the nearer they
-are. Ends that are hidden, a fraction that differs from room to room, are far from where they should be. So the error δ
-is not Gaussian, and its probability is kept on a grid. Half of the variance of an end is common to those of an image,
-what is left of an error of the tilt, and their number does not average it away.
-
-That needs a pose, and the pose of an image seen from a wrong height is wrong too. So until the height is known, height
-and pose are weighed together. A height that was measured for each image errs in each image in its own way and is taken
-as it is.
+Ends that are hidden, a fraction that differs from room to room, are far from where they should be. So the error δ of
+the stated height is not Gaussian, and its probability is kept on a grid. Half of the variance of an end is common to
+those of an image, what is left of an error of the tilt, and their number does not average it away. A height that was
+measured for each image errs in each image in its own way and is taken as it is.
 """
 
 from __future__ import annotations

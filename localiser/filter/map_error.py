@@ -1,10 +1,9 @@
 """How far landmarks stand from where the map has them, learnt while driving (docs/filter.md).
 
 A plan may be off by centimetres, a map that was surveyed by nothing. So all sigmas of the map are taken to be `scale`
-times as large as stated, which is learnt on a grid where the robot is sure to be. A map may be good in one part and
-poor in another, so now and then the scale changes to any other (a hidden Markov model). The error of a landmark is the
-same in every image that shows it, so errors of edges are taken to repeat along a path that is longer by the factor
-`decorrelation`.
+times as large as stated. A map may be good in one part and poor in another, so now and then the scale changes to any
+other (a hidden Markov model). The error of a landmark is the same in every image that shows it, so errors of edges
+repeat along a path that is longer by the factor `decorrelation`.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
 """The optimal proposal: draw the steps of particles from odometry and edges together [Doucet, Godsill, Andrieu 2000].
 
 Odometry is far less accurate than edges. Of the particles that are moved by odometry alone, one in a hundred or fewer
-explains the next image. Each resampling that follows loses information from earlier images. So a step is drawn from the
-normal density that follows from odometry and from the edges, linearised at the pose that odometry predicts. The same
-computation gives ψ, how well the edges fit wherever the particle may go: the auxiliary particle filter [Pitt, Shephard
-1999]. Equations: docs/filter.md.
-
-Only edges with a certain landmark take part (`Association.targets`). Where one of them or the linearisation is
-wrong, the weights correct it: they come from the full observation, and some of the steps are drawn from odometry alone.
+explains the next image, and each resampling that follows loses information from earlier images. Equations:
+docs/filter.md. Where an edge with a certain landmark or the linearisation is wrong, the weights correct it: they come
+from the full observation, and some of the steps are drawn from odometry alone.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""The scene: what an image shows beyond an image that was taken some way back.
+"""The scene: what an image shows beyond an image that was taken some way back (docs/belief.md).
 
-Consecutive images show nearly the same edges. A wrong place that fits one of them by chance therefore fits the next
-ones too. So the belief counts an image by the novelty of its scene, and compares each hypothesis with the clutter that
-an earlier image predicts: the last one that was taken a whole scene back, 0.3 m or 12°, near enough to show the same
-things, and far enough that the parallax of a landmark of known distance tells it from clutter of unknown distance.
-When hardly any edge continues one of the image before, the robot was carried, and the image is wholly new.
+The belief compares each hypothesis with the clutter that an earlier image predicts: the last one that was taken a whole
+scene back, near enough to show the same things, and far enough that the parallax of a landmark of known distance tells
+it from clutter of unknown distance. When hardly any edge continues one of the image before, the robot was carried.
 """
 
 from __future__ import annotations

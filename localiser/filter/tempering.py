@@ -1,8 +1,7 @@
 """Tempering: weigh particles by the edges of one image in stages, when the edges are much more accurate than the cloud.
 
-Otherwise all weight would be on the few particles that happen to be nearest. So each stage uses only as much of the
-evidence as leaves enough effective particles. These are resampled and spread by a small kernel. The next stage weighs
-the new, denser cloud by the remaining evidence [Musso, Oudjane, Le Gland 2001].
+Otherwise all weight would be on the few particles that happen to be nearest. Between stages that leave enough of them,
+particles are resampled and spread by a small kernel [Musso, Oudjane, Le Gland 2001].
 """
 
 from __future__ import annotations

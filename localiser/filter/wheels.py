@@ -1,10 +1,7 @@
-"""Whether the wheels are right: they may stand still while the robot drives, or slip.
+"""Whether the wheels are right: they may stand still while the robot drives, or slip (docs/motion.md).
 
-Where an image fits the map or the image before much worse than usual, another explanation is weighed beside it: the
-wheels are wrong, and the robot went on at its pace, changed as the edges say (docs/motion.md). The edges that continue
-may belong to a person who walks by, so one image alone says only so much. While the wheels may be wrong, particles move
-by a Gaussian with mean and covariance of both motions, each with its probability, and the map decides. The wheels are
-believed again when they predict better.
+The edges that continue may belong to a person who walks by, so one image alone says only so much. While the wheels may
+be wrong, particles move by a Gaussian with mean and covariance of both motions, each with its probability.
 """
 
 from __future__ import annotations
