@@ -1,10 +1,6 @@
 """Clutter: what is on no map is expected where earlier images showed it, and beside its like (docs/observation.md).
 
-Something that is not on the map, and is seen a hundred times near the expected place of a landmark, would be taken for
-that landmark with certainty if each image were new evidence. But an edge that continues one of an earlier image has a
-known place, also when it is clutter: turned with the robot, and shifted by the parallax of an unknown distance r, with
-1/r uniform between 0 and 1/near. The bearing of a landmark must be likelier than this density. How an edge moves while
-the robot passes still identifies the landmark. Seeing it once more does not.
+How an edge moves while the robot passes identifies its landmark. Seeing it once more does not.
 
 **Persistent clutter**, which particles of one place are weighed by, is expected where the last image showed it, by the
 probability that the edge was clutter there, over all poses which the particles then had. At the mean pose alone, an
@@ -15,11 +11,9 @@ the pose any more.
 
     λ(e) = s Σ_j K(e; j) + m Λ(e)
 
-K: edge j where it is expected now, both ends shifted by the same parallax. s: `SEEN_AGAIN`. m: expected number of new
-edges. They stand in groups, as books on a shelf: Λ is a Dirichlet process of concentration 1 whose other draws are the
-other edges. There may always be a new edge, so m is at least 1. In an image of one or two edges this alone would expect
-nearly one more than there are, and every place would lose by it. So λ is scaled to the integral that it has without
-this least m.
+K: edge j where it is expected now. s: `SEEN_AGAIN`. m: expected number of new edges. There may always be one, so m is
+at least 1. In an image of one or two edges this alone would expect nearly one more than there are, and every place
+would lose by it. So λ is scaled to the integral that it has without this least m.
 """
 
 from __future__ import annotations

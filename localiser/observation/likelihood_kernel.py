@@ -181,13 +181,9 @@ def _normal(y: float) -> float:
 def _end(
     measured: Any, room: float, peak: float, block: Array, lanes: int, rows: Any, missed: float, is_unknown: bool
 ) -> None:
-    """Write how much likelier one end of an edge is if it is the landmark's.
+    """Write how much likelier one end of an edge is if it is the landmark's: *Ends* in docs/observation.md.
 
-        m min(R_e / v_l, 1) + (1 - m) R_e N(e; e_l(pose), σ²)
-
-    An edge either reaches where its landmark ends, or ends anywhere on the v_l that the image shows of it (m), while
-    the density of clutter's ends is 1 / R_e there (`frame`). An end of a landmark beyond the image's border cannot be
-    reached: min(R_e / v_l, 1) is left. An end without a peak, which the border made, takes half as long.
+    An end without a peak, which the border made, takes half as long.
     """
     e, per_sigma = measured
     expected, at = rows

@@ -2,13 +2,9 @@
 
 The map has no walls, so it cannot tell which landmarks are hidden. But an edge matches a landmark in a part of the
 scenes that have it in view, near 0 for one that is hidden and near 1 for one that shows. Of landmarks near the robot,
-this part was measured on worn maps of the building and on maps of another one. In both it is beta distributed.
-
-Only landmarks within 3.5 m are tested, and none behind a matched one within 30° that is nearer by 0.15 m: that one may
-be on a wall. The likelihood cannot tell this. It compares edges with the clutter that earlier images predict, and takes
-each image for new evidence, though in a building of the same kind edges that match by chance keep matching. On a map of
-the building a place that is tracked is hardly ever wrong, so odds against one still count when another one is tracked
-in its stead, and fade as scenes do.
+this part was measured on worn maps of the building and on maps of another one. None is tested behind a matched one
+within 30° that is nearer by 0.15 m: that one may be on a wall. On a map of the building a place that is tracked is
+hardly ever wrong, so odds against one still count when another one is tracked in its stead, and fade as scenes do.
 """
 
 from __future__ import annotations
