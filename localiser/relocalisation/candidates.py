@@ -5,10 +5,9 @@ against each other by less than they tell of a pose, because the clutter of earl
 Within one cell of floor and heading, particles share its weight by the likelihood that the filter itself weighs
 particles by. So those of a place lie as close to the edges as if it were tracked.
 
-A place that is proposed late has the probability that it would have as a candidate all along (`History`). Odometry
-tells where the robot was at an earlier image, if it is at a pose now. One image is kept for each scene. It counts for
-those since the one before, and the last image for those since it. What entered before the images that are kept counts
-as what is unexplored does: it falls by what images look at.
+For places that are proposed late (`History`) one image is kept for each scene. It counts for those since the one
+before, and the last image for those since it. What entered before the images that are kept counts as what is unexplored
+does: it falls by what images look at.
 
 Two things are not exact. A pose has one path, drawn from the noise of odometry, so a place that is as good as followed
 ones may be found only by a later image. And as a place has the largest probability that any image gave it (`beyond`),

@@ -1,10 +1,8 @@
 """Global localisation: poses proposed from one image, weighed by all of its edges; steps: docs/relocalisation.md.
 
-Poses are drawn evenly from a box around each of the best hypotheses, with weights w₁ = prior / q. Then the blur of the
-likelihood L narrows in steps b: poses are drawn by w_b L_b(x), and moved a little to x', so that they gather where the
-edges fit. As moves one way are as likely as the other way, the weight of a pose at the next step is that of all that it
-is drawn from, divided by L_b(x) at where it came from: a sum of w L over poses is the evidence at every blur. Without
-the last likelihood they are draws from the prior. `History` weighs them by this image and those before.
+While the blur of the likelihood L narrows, poses that are moved one way are as likely moved the other way. So the
+weight of a pose is that of all that it is drawn from, divided by L at where it came from: a sum of w L over poses is
+the evidence at every blur. Without the last likelihood they are draws from the prior.
 """
 
 from __future__ import annotations

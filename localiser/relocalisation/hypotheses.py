@@ -207,9 +207,7 @@ def from_feet(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Gener
 def from_two_bearings(first: Array, second: Array, bearings: Array, ranges: Array) -> Array:
     """Return the camera's poses (K, 3) that see landmarks `first` and `second` (K, 2) at two bearings (K, 2) exactly.
 
-    ranges: (K, 2) distances, of which only the ratio counts: two bearings leave an arc through both landmarks (the
-    angle between them is inscribed in it), and the ratio says where on it the camera is. The distance of the landmarks
-    gives the scale, by the law of cosines.
+    ranges: (K, 2) distances, of which only the ratio counts (docs/relocalisation.md).
     """
     ray = np.stack([np.sin(bearings), -np.cos(bearings)], axis=-1) * ranges[..., None]
     across, along = ray[:, 1] - ray[:, 0], second - first
