@@ -1,12 +1,7 @@
-"""The loop over pairs of edges, compiled by numba: imported only once edges are followed.
+"""The loop over pairs of edges, compiled by numba: imported only once edges are followed (docs/visual_odometry.md).
 
-An edge at bearing b and inverse range ρ (1/m) from the first camera is seen from the second, which moved by c, at
-
-    d = (sin b, -cos b) - ρ c,    b' = atan2(d_x, -d_z) + turn,    ρ' = ρ / |d|
-
-Inverse, because the foot of an edge is seen at a depression whose tangent is h ρ, so that its error is one of ρ; and
-because ρ = 0 is a far edge like any other, which shows the turn and nothing else. With c = 0 that is [Taylor06] eq. 13,
-with no turn and c along the axis it is eq. 9-11.
+The range is inverse (ρ), because the foot of an edge is seen at a depression whose tangent is h ρ, so that its error is
+one of ρ; and because ρ = 0 is a far edge like any other, which shows the turn and nothing else.
 """
 
 from __future__ import annotations

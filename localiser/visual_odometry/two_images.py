@@ -1,9 +1,8 @@
-"""Two images of one camera: where their edges stand, and which of them may be one edge.
+"""Two images of one camera: where their edges stand, and which of them may be one edge (docs/visual_odometry.md).
 
-An edge of the second image continues one of the n edges of the first with probability w, each equally likely; otherwise
-it is new. Polarities must agree. Grey values agree on at least one side, because the background on the other side
-changes. The lower end of an edge is its foot, where it meets the floor, and determines the range. Or it is not (a
-window, a skirting board, something in front), and the edge is at any shorter range.
+Grey values agree on at least one side of an edge, because the background on the other side changes. The lower end is
+its foot and determines the range, or it is not (a window, a skirting board, something in front), and the edge is at any
+shorter range.
 """
 
 from __future__ import annotations
