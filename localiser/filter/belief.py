@@ -14,12 +14,11 @@ import numpy as np
 from localiser import particles
 from localiser.filter.events import SURE, MapWarning, Reason, is_near
 from localiser.filter.scene import Jump
-from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
 from localiser.observation import FEWEST_EDGES, DetectionRate, PlaceLandmarks, Sighting, marked_landmarks
 from localiser.particles import Clusters, Estimate, Particles
-from localiser.relocalisation import PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
+from localiser.relocalisation import BLUR_RAD, PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
 LEFT = 1e-3  # between scenes: to unmapped surroundings, from there back, or elsewhere; or from off the map onto it
 MISTAKEN = 1e-5  # between scenes: from tracked to off the map, because parts of another building may look the same
@@ -104,7 +103,7 @@ class Belief:
     def after(
         self,
         search: GlobalLocalisation,
-        found: Weighed | None,
+        before: Particles | None,
         like: Particles,
         sighting: Sighting,
         jump: Jump,
@@ -114,16 +113,17 @@ class Belief:
     ) -> Belief:
         """Return the belief after an image, until which the candidates have moved already.
 
-        found: what it says of the tracked place, None where none is tracked. like: particles whose constant errors hold
-        elsewhere too, those tracked if any are. jump: how new the image is. increment: since the last image.
+        before: some particles at the tracked place, not weighed by it yet; None where none is tracked. like: particles
+        whose constant errors hold elsewhere too, those tracked if any are. jump: how new the image is. increment: since
+        the last image.
         """
-        is_tracked, carried = found is not None, jump.carried(search.parameters.carried)
+        is_tracked, carried = before is not None, jump.carried(search.parameters.carried)
         edges = search.known_edges(sighting)
         novelty = max(jump.novelty, carried)
         maps = self.landmarks.maps if self.is_known else len(search.landmark_map.maps)
         landmarks = replace(self.landmarks, maps=maps)
         begun = replace(self, history=self.history.moved(increment, novelty), landmarks=landmarks)
-        belief = begun._judged(search, found, sighting, edges >= FEWEST_EDGES, jump)
+        belief = begun._judged(search, before, sighting, edges >= FEWEST_EDGES, jump)
         off_map, scenes = TRACKED_UNFIT if is_tracked else UNFIT
         told = novelty / scenes if edges >= FEWEST_EDGES else 0.0  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
@@ -141,18 +141,20 @@ class Belief:
         return replace(belief, candidates=candidates, unproposed=0.0, history=belief.history.with_image(sighting))
 
     def _judged(
-        self, search: GlobalLocalisation, found: Weighed | None, sighting: Sighting, sees: bool, jump: Jump
+        self, search: GlobalLocalisation, before: Particles | None, sighting: Sighting, sees: bool, jump: Jump
     ) -> Belief:
         """Return the belief after transitions and Bayes' rule. sees: whether the image has more than a few edges."""
         carried = jump.carried(search.parameters.carried)
         novelty = max(jump.novelty, carried)
         belief, detections, shown = self._moved_on(novelty, min(carried, MOST_CARRIED)), self.detections, self.shown
         log_tracked, log_shown, blind, support = 0.0, 0.0, 0.0, 0.0
-        if found is not None and found.by_views is not None:
-            every, visible = PLACE_POWER * found.by_views
-            detections, log_tracked = _rated(found.before, every, detections, novelty)
-            shown, log_shown = _rated(found.before, visible, shown, novelty)
-            blind = float(found.before.weight[(every == 0.0).all(axis=0)].sum())
+        if before is not None:
+            visible = self.landmarks.shown(len(search.landmark_map))
+            views = np.stack([np.ones_like(visible), visible])
+            by_views = search.observation.by_views(before, sighting, search.landmark_map, views, BLUR_RAD)
+            detections, log_tracked = _rated(before, PLACE_POWER * by_views[0], detections, novelty)
+            shown, log_shown = _rated(before, PLACE_POWER * by_views[1], shown, novelty)
+            blind = float(before.weight[(by_views[0] == 0.0).all(axis=0)].sum())
             support = self.support
         seen_m = (1.0 - blind) * jump.path_m
         shows_marker = (marked_landmarks(sighting.edges, search.landmark_map) >= 0).any()

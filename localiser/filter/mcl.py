@@ -24,7 +24,7 @@ from localiser.filter.height import COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_me
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
-from localiser.filter.tempering import FEW_JUDGED, Tempering, Weighed
+from localiser.filter.tempering import Tempering, Weighed
 from localiser.filter.wheels import MOST_FOLLOWED, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
@@ -45,6 +45,7 @@ from localiser.particles import POSE, Particles, log_sum, systematic_resample, t
 from localiser.relocalisation import GlobalLocalisation
 from localiser.visual_odometry import Gaussian, Odometer, TwoImages, increment_of, with_scale
 
+FEW_JUDGED = 512  # particles that tell how well an image fits the place that they are at, and how high the camera is
 FEW_TOLD = 64  # particles that tell how well a motion predicts an image
 
 
@@ -312,8 +313,7 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
         moved = proposal.moved(cloud, step, last, motion, rng)
     else:
         moved = mcl.moved(cloud, image.drive.moves, rng)
-    visible = None if mcl.search is None else state.belief.landmarks.shown(len(mcl.landmark_map))
-    tempering = Tempering(observation, mcl.landmark_map, sighting, inliers, novelty, parameters.stage_below, visible)
+    tempering = Tempering(observation, mcl.landmark_map, sighting, inliers, novelty, parameters.stage_below)
     return tempering.weighed(moved, not state.weighed, rng)
 
 
@@ -364,7 +364,8 @@ def _compared(
     if belief.candidates is not None:
         moved = mcl.moved(belief.candidates.particles, drive.moves, rng)
         belief = replace(belief, candidates=replace(belief.candidates, particles=moved))
-    belief = belief.after(mcl.search, found, like, image.sighting, image.jump, drive.increment, mcl.motion, rng)
+    before = None if found is None else thinned(found.before, FEW_JUDGED)
+    belief = belief.after(mcl.search, before, like, image.sighting, image.jump, drive.increment, mcl.motion, rng)
     if weighed is not None:
         belief = belief.beside(weighed.estimate.pose)
     elif belief.candidates is None:

@@ -22,24 +22,15 @@ from localiser.observation import (
     own_log_likelihood,
 )
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
-from localiser.relocalisation import BLUR_RAD
-
-FEW_JUDGED = 512  # particles that tell how well an image fits the place that they are at, and how high the camera is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighed:
-    """Particles that an image has weighed, and what it says of their place.
-
-    particles: after the image. inliers: what is then known of the inlier rate. before: some particles that the image
-    had not weighed yet. by_views: (2, K, N) log p(edges | particle, p_k) of these for every detection rate, where all
-    landmarks in view may show, and where some are hidden; None with an observation of one's own.
-    """
+    """Particles that an image has weighed, those that it had not weighed yet, and what is known of the inlier rate."""
 
     particles: Particles
-    inliers: InlierRate
     before: Particles
-    by_views: Array | None
+    inliers: InlierRate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +38,7 @@ class Tempering:
     """How particles are weighed by one sighting.
 
     inliers: what is known of the inlier rate. novelty: 0 … 1, how much of the log-likelihood is new and is weighed.
-    stage_below: fraction of effective samples that each stage leaves; 0: one stage. visible: (L,) probability that a
-    landmark in view is not hidden at the tracked place; None where nothing is asked of the place.
+    stage_below: fraction of effective samples that each stage leaves; 0: one stage.
     """
 
     observation: Observation
@@ -57,7 +47,6 @@ class Tempering:
     inliers: InlierRate
     novelty: float
     stage_below: float
-    visible: Array | None = None
 
     def weighed(self, moved: Particles, is_first: bool, rng: np.random.Generator) -> Weighed:
         """Return the particles, weighed.
@@ -66,7 +55,7 @@ class Tempering:
         from stage to stage.
         """
         coarser_rad: float | None = None
-        of_place = self._of_place(moved)
+        before = moved
         for blur_rad in self._blurs(moved) if is_first else [0.0]:
             left = self.novelty
             for stage in range(MOST_STAGES):
@@ -85,21 +74,13 @@ class Tempering:
                 if left <= 0:
                     break
             coarser_rad = blur_rad
-        return Weighed(weighed, self.inliers.given(by_rate, weighed.weight, self.novelty), *of_place)
+        return Weighed(weighed, before, self.inliers.given(by_rate, weighed.weight, self.novelty))
 
     def _by_rate(self, moved: Particles, blur_rad: float) -> Array:
         if isinstance(self.observation, EdgeObservation):
             return self.observation.by_rate(moved, self.sighting, self.landmark_map, blur_rad)
         found = own_log_likelihood(self.observation, moved, self.sighting, self.landmark_map)
         return np.tile(found, (len(INLIER_RATES), 1))  # the same whatever the rate
-
-    def _of_place(self, moved: Particles) -> tuple[Particles, Array | None]:
-        """Return some of the particles, and of edges where a place is judged what they say of it, as in `Weighed`."""
-        few = particles.thinned(moved, FEW_JUDGED)
-        if not isinstance(self.observation, EdgeObservation) or self.visible is None:
-            return few, None
-        views = np.stack([np.ones_like(self.visible), self.visible])
-        return few, self.observation.by_views(few, self.sighting, self.landmark_map, views, BLUR_RAD)
 
     def _blurs(self, moved: Particles) -> list[float]:
         """Return the sigmas (rad) to blur edges by, from stage to stage, the last one 0.

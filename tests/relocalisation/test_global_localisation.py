@@ -13,11 +13,10 @@ from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry,
 from localiser.filter.belief import BARE, Belief
 from localiser.filter.events import is_near
 from localiser.filter.scene import Jump
-from localiser.filter.tempering import Weighed
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters
-from localiser.observation import DETECTION_RATES, EdgeObservation, InlierRate, ObservationParameters
+from localiser.observation import DETECTION_RATES, EdgeObservation, ObservationParameters
 from localiser.particles import CAMERA_YAW, POSE, Clusters, Particles, cells_of, find_clusters
 from localiser.relocalisation import Candidates, History
 from localiser.relocalisation.global_localisation import FEWEST_EDGES, GlobalLocalisation, SearchParameters
@@ -189,13 +188,8 @@ def after(
     search: GlobalLocalisation = SEARCH,
 ) -> Belief:
     """Return the belief after an image of a robot that stood still."""
-    still, found = Increment.from_mean(np.zeros(3)), None
-    if few is not None:
-        shown = belief.landmarks.shown(len(search.landmark_map))
-        views = np.stack([np.ones_like(shown), shown])
-        by_views = search.observation.by_views(few, sighting, search.landmark_map, views)
-        found = Weighed(few, InlierRate.unknown(), few, by_views)
-    return belief.after(search, found, like, sighting, jump, still, MotionParameters(), np.random.default_rng(0))
+    still = Increment.from_mean(np.zeros(3))
+    return belief.after(search, few, like, sighting, jump, still, MotionParameters(), np.random.default_rng(0))
 
 
 def test_probabilities_add_up_to_one_and_follow_the_edges() -> None:
