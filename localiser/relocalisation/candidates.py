@@ -35,7 +35,7 @@ RATE_MEMORY_SCENES = 5.0  # scenes after which the detection rate may be another
 SCENES = 24  # that are kept
 MOST_LOG = 600.0  # of a probability that is still finite
 _NEVER = -500.0  # log-likelihood of a pose that is given up
-_UNKNOWN: Array = DetectionRate.unknown().probability[:, None]
+_UNKNOWN = DetectionRate.unknown()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,10 +49,9 @@ class Candidates:
         return len(self.particles)
 
     @classmethod
-    def of(cls, particles: Particles, rate: DetectionRate | None = None) -> Candidates:
-        """Return candidates with the same distribution of the detection rate; None: no image was compared with them."""
-        probability = _UNKNOWN if rate is None else rate.probability[:, None]
-        return cls(particles, np.tile(probability, (1, len(particles))))
+    def of(cls, particles: Particles, rate: DetectionRate = _UNKNOWN) -> Candidates:
+        """Return candidates with the same distribution of the detection rate, as it was learnt from images, if any."""
+        return cls(particles, np.tile(rate.probability[:, None], (1, len(particles))))
 
     def weighed(
         self, by_rate: Array, novelty: float, *, needs_landmarks: bool, within: Array | None = None
@@ -64,7 +63,9 @@ class Candidates:
         not on the map. within: (N,) the log-likelihood by which the particles of a cell share its weight; None: as
         by_rate says.
         """
-        rates = self.rates + (1.0 - np.exp(-novelty / RATE_MEMORY_SCENES)) * (_UNKNOWN - self.rates)
+        rates = self.rates + (1.0 - np.exp(-novelty / RATE_MEMORY_SCENES)) * (
+            _UNKNOWN.probability[:, None] - self.rates
+        )
         joint = novelty * by_rate + np.log(rates)
         log_kept = np.where((by_rate == 0.0).all(axis=0), _NEVER, 0.0) if needs_landmarks else 0.0
         log_fit = log_sum_of_rates(joint)
