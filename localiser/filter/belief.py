@@ -178,16 +178,7 @@ class Belief:
         belief = replace(belief, history=replace(belief.history, limits=belief.history.limits + limits))
         log_tracked += blind * log_bare
         top = max(log_tracked, log_elsewhere if belief.elsewhere > 0 else 0.0, 0.0)
-        others = float(np.exp(-top))  # the likelihood of what else there is, relative to the largest
-        return replace(
-            belief,
-            tracked=belief.tracked * float(np.exp(log_tracked - top)),
-            unmapped=belief.unmapped * float(np.exp(log_bare - top)),
-            elsewhere=belief.elsewhere * float(np.exp(log_elsewhere - top)),
-            unexplored=belief.unexplored * others,
-            off_map=belief.off_map * others,
-            history=replace(belief.history, entered=others * belief.history.entered),
-        )._normalised()
+        return belief._normalised(*(float(np.exp(log - top)) for log in (log_tracked, log_bare, log_elsewhere, 0.0)))
 
     def _moved_on(self, novelty: float, carried: float) -> Belief:
         """Return the belief before an image.
@@ -263,16 +254,21 @@ class Belief:
             return replace(self, tracked=tracked, elsewhere=0.0, unexplored=unexplored, candidates=None)
         return replace(self, tracked=tracked, elsewhere=away, candidates=self.candidates.only(far))
 
-    def _normalised(self) -> Belief:
-        total = self.here + self.elsewhere + self.unexplored + self.off_map
+    def _normalised(
+        self, tracked: float = 1.0, unmapped: float = 1.0, elsewhere: float = 1.0, others: float = 1.0
+    ) -> Belief:
+        """Return the belief with probabilities times these likelihoods, of sum 1."""
+        tracked, unmapped, elsewhere = tracked * self.tracked, unmapped * self.unmapped, elsewhere * self.elsewhere
+        unexplored, off_map, entered = others * self.unexplored, others * self.off_map, others * self.history.entered
+        total = tracked + unmapped + elsewhere + unexplored + off_map
         return replace(
             self,
-            tracked=self.tracked / total,
-            unmapped=self.unmapped / total,
-            elsewhere=self.elsewhere / total,
-            unexplored=self.unexplored / total,
-            off_map=self.off_map / total,
-            history=replace(self.history, entered=1.0 / total * self.history.entered),
+            tracked=tracked / total,
+            unmapped=unmapped / total,
+            elsewhere=elsewhere / total,
+            unexplored=unexplored / total,
+            off_map=off_map / total,
+            history=replace(self.history, entered=1.0 / total * entered),
         )
 
     # -- what follows from it -----------------------------------------------------------------------------------------
