@@ -438,12 +438,11 @@ def _height_with_poses(
     That is over the poses of all particles. Edges are blurred so that a few particles are dense enough.
     """
     observation, landmarks, edges = mcl.edges, mcl.landmark_map, sighting.edges
-    if mcl.level is None or observation is None or state.particles is None or not state.height.is_unknown:
+    is_asked = state.height.is_unknown and (not state.weighed or state.height.novelty >= LEAST_NOVELTY)
+    if mcl.level is None or observation is None or state.particles is None or not is_asked:
         return state.height
-    if not np.isfinite(edges.ends_px).all() or is_measured(mcl.level.camera, edges):
-        return state.height
-    is_new = not state.weighed or state.height.novelty >= LEAST_NOVELTY
-    if not is_new or not np.isfinite([landmarks.bottom_m, landmarks.top_m]).any():
+    have_ends = np.isfinite(edges.ends_px).all() and np.isfinite([landmarks.bottom_m, landmarks.top_m]).any()
+    if not have_ends or is_measured(mcl.level.camera, edges):
         return state.height
     camera, few = mcl.level.camera, mcl.moved(thinned(state.particles, FEW_JUDGED), moves, rng)
     spread_rad, sigma_rad = observation.scales(few, sighting, landmarks)
