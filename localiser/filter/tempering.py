@@ -13,14 +13,7 @@ import numpy as np
 from localiser import particles
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap
-from localiser.observation import (
-    INLIER_RATES,
-    EdgeObservation,
-    InlierRate,
-    Observation,
-    Sighting,
-    own_log_likelihood,
-)
+from localiser.observation import INLIER_RATES, EdgeObservation, InlierRate, Observation, Sighting, own_log_likelihood
 from localiser.particles import MOST_STAGES, POSE, Particles, systematic_resample
 
 
