@@ -67,10 +67,8 @@ class Wheels:
         likelihood of the image over particles after a motion. increment, cov: what the wheels say, and its covariance
         (3, 3). seconds: since the last image.
 
-        Other motions are compared while wheels may be wrong, and where the image fits the map, or the image before,
-        much worse than recent ones (`UNUSUAL`). The map must also fit worse by so much that, with all that edges may
-        say, one image can bring wheels that were right in doubt. Otherwise the motion counts as that of the wheels, and
-        the pace follows it.
+        Unless the map fits worse by so much that, with all that edges may say, one image can bring wheels that were
+        right in doubt, the motion counts as that of the wheels, and the pace follows it.
         """
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
         needed = max(_log_odds(DOUBTED) - _log_odds(prior) + float(np.log(ASTRAY)), 0.0)
