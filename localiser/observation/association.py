@@ -131,7 +131,7 @@ class Association:
         """Return how far from its landmark's ends each edge that belongs to one ends, seen from one robot pose (3,).
 
         Of P ends inside the image: the measured minus the expected upright height (P,), and the derivative (P,) of the
-        expected one by the camera's height above the floor, 1/m. None where some ends of the image are not known.
+        expected one by the camera's height above the floor, 1/m. P is 0 where some ends of the image are not known.
         camera: at the height that is meant.
 
         A height v above the camera at a distance d ahead is at e = (v c + d s) / (d c - v s) of the upright image, so
