@@ -64,9 +64,7 @@ def _with_range(motion: Gaussian) -> Gaussian:
 def follow(images: TwoImages, priors: Sequence[tuple[Gaussian, float]]) -> Gaussian:
     """Return the motion between two images.
 
-    priors: what may be believed of it, and the logarithm of how often that is right; the widest last. Motions that
-    contradict each other and explain the edges alike make the covariance reach from one to the other, and the map
-    decides.
+    priors: what may be believed of it, and the logarithm of how often that is right; the widest last.
     """
     if not len(images.pairs):
         return mixture([prior for prior, _ in priors], normalised(np.array([log_share for _, log_share in priors])))
@@ -78,9 +76,8 @@ def follow(images: TwoImages, priors: Sequence[tuple[Gaussian, float]]) -> Gauss
 def _sampled(images: TwoImages, priors: Sequence[tuple[Gaussian, float]], on_wall: bool) -> tuple[Gaussian, float]:
     """Return motion and typical inverse range, and the logarithm of how well the images are explained, by samples.
 
-    They are drawn from the widest prior, and weighed by as much of what is known as leaves enough of them; then from a
-    Gaussian with the moments of those, until all of it counts (population Monte Carlo [Cappé et al. 2004]). After 15
-    rounds the result is wider than what edges tell. on_wall: as `pair_kernel` says.
+    This is population Monte Carlo [Cappé et al. 2004]. After 15 rounds the result is wider than what edges tell.
+    on_wall: as `pair_kernel` says.
     """
     from localiser.visual_odometry import pair_kernel
 

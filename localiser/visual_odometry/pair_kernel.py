@@ -47,8 +47,7 @@ def log_likelihoods(images: TwoImages, moves: Array, typical: Array, on_wall: bo
     """Return log p(second image | first, motion) (N,) of camera motions (N, 3), over that of an image of new edges.
 
     typical: (N,) inverse range. on_wall: whether all edges are on a wall at that range, and no lower end is a foot.
-    Else each pair of edges has two readings. As a foot, its lower ends tell ρ, which both images should agree on; or
-    the edge is nearer, at about the typical range.
+    Else the lower ends of a pair are feet, or the edge is nearer, at about the typical range.
     """
     one, two, pairs = images.one, images.two, images.pairs
     result = np.zeros(len(moves))
