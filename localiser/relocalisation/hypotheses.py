@@ -147,9 +147,8 @@ class Feet:
 def from_feet(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return camera poses (K ≤ count, 3) at which two edges, with the ranges of their feet, are two landmarks.
 
-    Two edges with ranges make two points, and only pairs of landmarks as far apart as these can be them. The bearings
-    are then held exactly; of the ranges only the ratio counts. Pairs of edges come first that are long, so hardly ever
-    clutter, have sure ranges, and can be few pairs of landmarks. Of what can be very many, a random part is tried.
+    Pairs of edges come first that are long, so hardly ever clutter, have sure ranges, and can be few pairs of
+    landmarks. Of what can be very many, a random part is tried.
 
     The second value is how many of the poses are expected to be the true one: `BOTH_RIGHT` of the pairs of edges, times
     the part of all their pairs of landmarks that is tried.
