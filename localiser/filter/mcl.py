@@ -182,12 +182,10 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     if silent and mcl.odometer is not None and np.isfinite(sighting.edges.ends_px).all():
         mcl = mcl.by_edges()
     measured = replace(sighting, map_scale=state.map_error.scale)
-    sighting = _from_height(mcl, state, measured)
     # Drive: how did the robot move, by odometry?
-    drive = _driven(mcl, state, sighting)
-    before, state.height = state.height, _height_with_poses(mcl, state, measured, drive.moves, rng)
-    if state.height is not before:
-        sighting = _from_height(mcl, state, measured)
+    drive = _driven(mcl, state, _from_height(mcl, state, measured))
+    state.height = _height_with_poses(mcl, state, measured, drive.moves, rng)
+    sighting = _from_height(mcl, state, measured)
     image, found = _received(mcl, state, sighting, drive), None
     if state.particles is not None:
         # Predict: every particle moves by its own draw of the motion, at best where the edges say.
