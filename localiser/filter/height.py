@@ -29,7 +29,7 @@ LEAST_NOVELTY = 0.2  # between images that are learnt from
 COARSE_M: Array = np.linspace(-0.2, 0.2, 17)  # the offsets that are weighed together with poses
 COARSE_SIGMA_M = 0.0125  # half of their distance, so that none falls between them
 UNKNOWN_SIGMA_M = 0.02  # sigma from which on they are
-HEIGHT_POWER = 0.6  # of the likelihood: edges of an image err together
+IMAGE_POWER = 0.6  # of the likelihood over particles, here and where wheels are judged: edges of an image err together
 # From how many sigmas on an offset is used instead of what is stated, and how many contradict that.
 _USED, _SIGMAS = 1.0, 3.0
 
@@ -81,7 +81,7 @@ class Height:
         log_likelihood: the logarithm of the mean likelihood of the image over particles, by the offset of the height.
         """
         fit = np.array([log_likelihood(offset_m) for offset_m in COARSE_M])
-        log_fit = HEIGHT_POWER * novelty * np.interp(OFFSETS_M, COARSE_M, fit - fit.max())
+        log_fit = IMAGE_POWER * novelty * np.interp(OFFSETS_M, COARSE_M, fit - fit.max())
         known = ((1.0 - FORGOTTEN) * self.probability + FORGOTTEN * _STATED) * np.exp(log_fit)
         return Height(known / known.sum())
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from localiser.filter.height import IMAGE_POWER
 from localiser.geometry import Array, Increment, between, wrap_angle
 from localiser.particles import Estimate
 from localiser.visual_odometry import (
@@ -23,7 +24,6 @@ from localiser.visual_odometry import (
     with_scale,
 )
 
-MAP_POWER = 0.6  # of the likelihood by the map: edges of an image err together
 STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
 UNUSUAL = np.array([0.7, 0.4])  # part of what is usual below which other motions are compared: map, image before
 FIT_MEMORY = 0.5  # part of what is usual that an image leaves
@@ -72,7 +72,7 @@ class Wheels:
         """
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
         needed = max(_log_odds(DOUBTED) - _log_odds(prior) + float(np.log(ASTRAY)), 0.0)
-        least = np.minimum(UNUSUAL * self.usual, self.usual - [needed / MAP_POWER, 0.0])
+        least = np.minimum(UNUSUAL * self.usual, self.usual - [needed / IMAGE_POWER, 0.0])
         fits = (fit >= least).all()
         usual = FIT_MEMORY * self.usual + (1.0 - FIT_MEMORY) * fit
         if self.pace is None or (self.wrong < parameters.slip_share and fits):
@@ -80,7 +80,7 @@ class Wheels:
         expected = parameters.expected(self.pace, seconds)
         wheels_say = Gaussian(increment.mean, cov + np.diag(LEAST_SIGMA**2))
         seen = with_scale(follow(images(), [(expected, 0.0)]), walks=False)
-        log_ratio = min(MAP_POWER * (by_map(increment_of(seen)) - by_map(increment)), MOST_TOLD)
+        log_ratio = min(IMAGE_POWER * (by_map(increment_of(seen)) - by_map(increment)), MOST_TOLD)
         log_ratio += contradicts(wheels_say, seen, expected)
         log_odds = float(np.clip(_log_odds(prior) + log_ratio, -50.0, 50.0))
         wheels = replace(self, wrong=float(1.0 / (1.0 + np.exp(-log_odds))), fit=log_ratio < -MOST_TOLD or log_odds > 0)
