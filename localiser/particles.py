@@ -16,9 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array, cos_sin, wrap_angle
-
-Indices = NDArray[np.int64]
+from localiser.geometry import Array, Indices, cos_sin, wrap_angle
 
 POSE = ("x", "z", "heading")
 CAMERA_YAW = "camera_yaw"

@@ -20,7 +20,7 @@ from localiser.edges.columns import SCALE_PX, GradientField, clutter, gradient_f
 from localiser.edges.lines import LEAST_BLOCKS, Cells, Fitted, refined, rough_lines
 from localiser.edges.types import Segments
 from localiser.edges.views import ROWS_PER_BLOCK, Image, column_view, half_camera, halved, remap_tables
-from localiser.geometry import Array
+from localiser.geometry import Array, Indices
 from localiser.markers import DICTIONARIES
 
 
@@ -131,7 +131,7 @@ def columns(image: Image, camera: Camera, /, *, min_contrast: float) -> Segments
     return Segments(ideal_px[:, :2], ideal_px[:, 2:], *sigmas_px, cells.polarity[kept])
 
 
-def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: GradientField) -> bool:
+def _is_blurred(fitted: Fitted, kept: Indices, cells: Cells, field: GradientField) -> bool:
     """Return whether most edges are as steep at twice the scale: blurred by some 7 px of motion, or 2.4 px of lens."""
     at_coarse = cells.sampled(field.coarse, fitted.fit.at(cells.groups.of, cells.row))[0]
     coarse, fine = (cells.mean(height)[kept] for height in (at_coarse, fitted.height))
@@ -140,7 +140,7 @@ def _is_blurred(fitted: Fitted, kept: NDArray[np.int64], cells: Cells, field: Gr
 
 def _significant(
     fitted: Fitted, cells: Cells, field: GradientField, min_contrast: float
-) -> tuple[NDArray[np.int64], Array, Array]:
+) -> tuple[Indices, Array, Array]:
     """Return which lines are no accident of noise or texture, and where all lines (G,) begin and end, in blocks."""
     groups, line = cells.groups, cells.groups.of
     faintest = np.maximum(2.0, _SAME_EDGE_SHARE * cells.mean(fitted.height)[line])
@@ -161,7 +161,7 @@ def _significant(
     return np.flatnonzero(kept), top, bottom
 
 
-def _blur(fitted: Fitted, kept: NDArray[np.int64], cells: Cells) -> float:
+def _blur(fitted: Fitted, kept: Indices, cells: Cells) -> float:
     """Return by how much more than in focus something beside a line moves it, over what two scales tell: 1 in focus."""
     if len(kept) == 0:
         return 1.0
@@ -181,11 +181,11 @@ def _extent(height: Array, on: NDArray[np.bool_], cells: Cells) -> tuple[Array, 
     first, last = np.zeros((2, cells.groups.count), dtype=np.int64)
     first[line[index[::-1]]], last[line[index]] = index[::-1], index  # of several values the last one stays
 
-    def beside(end: NDArray[np.int64], by: int) -> Array:
+    def beside(end: Indices, by: int) -> Array:
         at = (end + by).clip(0, len(height) - 1)
         return np.where((at == end + by) & (line[at] == line[end]), height[at], 0.0)
 
-    def covered(end: NDArray[np.int64], outwards: int) -> Array:
+    def covered(end: Indices, outwards: int) -> Array:
         inner = np.maximum(beside(end, -outwards), 1e-6)
         return np.asarray((height[end] / inner).clip(0, 1) + (beside(end, outwards) / inner).clip(0, 1))
 

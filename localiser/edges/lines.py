@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.edges.columns import ALONG, KERNEL, SCALE_PX, GradientField, peaks_of
-from localiser.geometry import Array
+from localiser.geometry import Array, Indices
 from localiser.geometry.compiled import compiled
 
 
@@ -29,11 +29,11 @@ class LineFit(NamedTuple):
     weight: Array
     spread: Array
 
-    def at(self, group: NDArray[np.int64], x: Array | NDArray[np.int64]) -> Array:
+    def at(self, group: Indices, x: Array | Indices) -> Array:
         """Return y (K,) of the lines of groups (K,) at x (K,)."""
         return np.asarray(self.y[group] + self.slope[group] * (x - self.x[group]))
 
-    def take(self, index: NDArray[np.int64]) -> LineFit:
+    def take(self, index: Indices) -> LineFit:
         """Return the lines of some groups."""
         return LineFit._make(column[index] for column in self)
 
@@ -42,14 +42,14 @@ class LineFit(NamedTuple):
 class Groups:
     """Which group, 0 … count - 1, each of K values belongs to."""
 
-    of: NDArray[np.int64]
+    of: Indices
     count: int
 
     def sum(self, values: Array | NDArray[np.bool_]) -> Array:
         """Return the sum (G,) of values (K,) of each group."""
         return np.asarray(np.bincount(self.of, values, self.count), dtype=np.float64)
 
-    def line(self, x: Array | NDArray[np.int64], y: Array, weight: Array) -> LineFit:
+    def line(self, x: Array | Indices, y: Array, weight: Array) -> LineFit:
         """Return the weighted least-squares line of each group through (x, y) (K,)."""
         total = np.maximum(self.sum(weight), 1e-12)
         mean_x, mean_y = self.sum(weight * x) / total, self.sum(weight * y) / total
@@ -93,7 +93,7 @@ class Cells:
     """
 
     groups: Groups
-    row: NDArray[np.int64]
+    row: Indices
     in_chain: NDArray[np.bool_]
     blocks: Array
     polarity: NDArray[np.int8]
@@ -258,7 +258,7 @@ def _width(slope: Array, height: Array, curvature: Array, cells: Cells) -> tuple
 
 
 def samples_loop(
-    values: NDArray[np.float32], row: NDArray[np.int64], column: Array, sign: NDArray[np.int8]
+    values: NDArray[np.float32], row: Indices, column: Array, sign: NDArray[np.int8]
 ) -> tuple[Array, Array, Array]:
     """Return height, steepness and negative curvature (K,) of values (B, W) along their row, at places (K,)."""
     count, width = len(row), values.shape[1]

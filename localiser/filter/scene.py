@@ -111,13 +111,11 @@ class Scene:
 def _log_carried(continuing: Array, usual: float) -> tuple[float, float, float]:
     """Return log p(edges | carried) / p(edges | not carried), that of the latter, and the fraction that continue.
 
-    continuing: (E,) how much likelier an edge is if it continues one. usual: which fraction does, of a robot that was
+    continuing: (E,) how much likelier an edge is if it continues one. usual: which fraction f does, of a robot that was
     not carried. At ½ and below, edges come and go so often that they tell nothing.
     """
     by_fraction = np.log1p(FRACTIONS * (continuing[:, None] - 1.0)).sum(axis=0)
-    mean = np.array(
-        [[CARRIED], [max(usual, 0.5)]]
-    )  # of the fraction; its beta densities but for a constant that both share
+    mean = np.array([[CARRIED], [max(usual, 0.5)]])  # of f; its beta densities but for a constant that both share
     density = (CONCENTRATION * mean - 1.0) * np.log(FRACTIONS)
     density += (CONCENTRATION * (1.0 - mean) - 1.0) * np.log1p(-FRACTIONS)
     carried, stayed = by_fraction + (density - np.logaddexp.reduce(density, axis=1, keepdims=True))

@@ -5,6 +5,7 @@ from localiser.geometry.poses import (
     MANY,
     Array,
     Increment,
+    Indices,
     arc_log,
     arc_motion,
     bearing_from_lean,

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from localiser.errors import InputError
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 MANY = 256  # angles, from which on a compiled loop is worth calling
 _SEVERAL = 64  # angles, from which on it is worth looking whether any needs to be wrapped

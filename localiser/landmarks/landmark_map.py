@@ -14,10 +14,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array
+from localiser.geometry import Array, Indices
 from localiser.geometry.compiled import compiled
 
-Indices = NDArray[np.int64]
 Kept = TypeVar("Kept")
 FRAME = {"axes": "x right, y up, z backward", "units": "m"}
 PIECE_M = 4.0

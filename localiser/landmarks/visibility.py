@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser.camera import Camera
-from localiser.geometry import Array, robot_from_map
+from localiser.geometry import Array, Indices, robot_from_map
 from localiser.landmarks.landmark_map import LandmarkMap
 
 
@@ -25,8 +25,8 @@ class Sight:
     pose, landmark: (P,) indices. tangent: (P,) tan(bearing). range_m: (P,) floor distance.
     """
 
-    pose: NDArray[np.int64]
-    landmark: NDArray[np.int64]
+    pose: Indices
+    landmark: Indices
     tangent: Array
     range_m: Array
 
@@ -159,9 +159,7 @@ def landmark_ends(landmark_map: LandmarkMap, camera: Camera) -> Array:
     return np.stack([np.stack([x, bottom, z], axis=-1), np.stack([x, top, z], axis=-1)], axis=1)
 
 
-def predicted_lines(
-    camera: Camera, pose: Array, ends: Array, visible: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], Array]:
+def predicted_lines(camera: Camera, pose: Array, ends: Array, visible: NDArray[np.bool_]) -> tuple[Indices, Array]:
     """Return indices (V,) of the landmarks that reach into the image from `pose`, and their image lines (V, S, 2).
 
     ends: (L, 2, 3) bottom and top in the map. visible: (L,) which to consider. Lines run upwards, bent by the lens:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from localiser.camera import Camera
-from localiser.geometry import Array
+from localiser.geometry import Array, Indices
 from localiser.landmarks import LandmarkMap, image_heights, in_camera
-from localiser.observation.frame import Frame, Indices
+from localiser.observation.frame import Frame
 from localiser.observation.inlier_rate import INLIER_RATES, log_sum_of_rates
 from localiser.observation.sighting import Matches, Sighting, Targets
 

@@ -1,11 +1,8 @@
 """Clutter: what is on no map is expected where earlier images showed it, and beside its like (docs/observation.md).
 
-How an edge moves while the robot passes identifies its landmark. Seeing it once more does not.
-
 **Persistent clutter**, which particles of one place are weighed by, is expected where the last image showed it, by the
 probability that the edge was clutter there, over all poses which the particles then had. At the mean pose alone, an
-edge of a landmark that misses it by an error of the pose would be taken for clutter from then on, and could not correct
-the pose any more.
+edge of a landmark that misses it by an error of the pose would be taken for clutter, and could not correct the pose.
 
 **Scene clutter**, which the belief compares all places by, is a Poisson process with the intensity
 

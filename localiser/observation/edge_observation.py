@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array
+from localiser.geometry import Array, Indices
 from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, kept_with, reach_of
 from localiser.observation.association import Association
 from localiser.observation.clutter import EarlierFrame, scene_clutter
-from localiser.observation.frame import TOLERANCE_PX, UNKNOWN, Frame, Indices, marked_landmarks
+from localiser.observation.frame import TOLERANCE_PX, UNKNOWN, Frame, marked_landmarks
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import ObservationParameters, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array
+from localiser.geometry import Array, Indices
 from localiser.landmarks import LandmarkMap, kept_with, widest_tangent
 from localiser.markers import code_of
 from localiser.observation.sighting import ObservationParameters
 
-Indices = NDArray[np.int64]
 EdgeBins = tuple[Indices, tuple[float, float, float]]
 
 SIGMA_PX = 3.0  # where an edge ends in the image: 2 px of finding it, 2 px of the mount's tilt and roll

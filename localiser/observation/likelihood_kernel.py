@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from localiser.geometry import Array
+from localiser.geometry import Array, Indices
 from localiser.geometry.angle_kernel import cos_sin_near
 from localiser.geometry.compiled import entry, inlined
-
-Indices = NDArray[np.int64]
 
 LANES = 8  # float64 in a vector register
 LEAST_VECTORS = 2  # vectors, for which a vector loop is entered

@@ -102,9 +102,7 @@ def own_log_likelihood(
         raise InputError(f"expected ({count},) numbers, found {found.dtype} {found.shape}", field=name)
     if not (found < np.inf).all() or not (found > -np.inf).any():
         problem = "-inf for all particles" if (found == -np.inf).all() else "nan or inf"
-        raise InputError(
-            f"expected log-likelihoods below inf, at least one of them finite, found {problem}", field=name
-        )
+        raise InputError(f"expected log-likelihoods below inf, at least one finite, found {problem}", field=name)
     return np.maximum(found, _IMPOSSIBLE, dtype=np.float64)
 
 

@@ -63,9 +63,8 @@ class Candidates:
         not on the map. within: (N,) the log-likelihood by which the particles of a cell share its weight; None: as
         by_rate says.
         """
-        rates = self.rates + (1.0 - np.exp(-novelty / RATE_MEMORY_SCENES)) * (
-            _UNKNOWN.probability[:, None] - self.rates
-        )
+        unknown = _UNKNOWN.probability[:, None]
+        rates = self.rates + (1.0 - np.exp(-novelty / RATE_MEMORY_SCENES)) * (unknown - self.rates)
         joint = novelty * by_rate + np.log(rates)
         log_kept = np.where((by_rate == 0.0).all(axis=0), _NEVER, 0.0) if needs_landmarks else 0.0
         log_fit = log_sum_of_rates(joint)

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from localiser import geometry
 from localiser.camera import Camera
 from localiser.edges import Edges
-from localiser.geometry import Array, forward, wrap_angle
+from localiser.geometry import Array, Indices, forward, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import ENDPOINT_SIGMA_PX, Frame, ObservationParameters, end_per_height, marked_landmarks
-from localiser.particles import Indices
 
 BOTTOM_STEP_M = 0.05  # landmarks whose lower ends differ by less are searched together
 MANY_PAIRS = 400_000  # beyond which an image can try but a small part of what it may be
