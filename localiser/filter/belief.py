@@ -20,13 +20,15 @@ from localiser.observation import FEWEST_EDGES, DetectionRate, PlaceLandmarks, S
 from localiser.particles import Clusters, Estimate, Particles
 from localiser.relocalisation import BLUR_RAD, PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
-LEFT = 1e-3  # between scenes: to unmapped surroundings, from there back, or elsewhere; or from off the map onto it
+LEFT = 1e-3  # between scenes: from mapped to unmapped surroundings, or from off the map onto it
+RETURNED = 1e-2  # in unmapped surroundings: to mapped ones, or the place is lost
 MISTAKEN = 1e-5  # between scenes: from tracked to off the map, because parts of another building may look the same
 BARE = 0.1  # how much rarer scenes without any landmark are on the map than off it
 MOST_CARRIED = 0.9  # an image may also be blurred, or a turn missed
 PROPOSING_NOVELTY = 0.1  # scenes between images that poses are proposed from
 MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so that no frame takes long
 SURELY_CARRIED = 0.5  # probability of having been carried from which on one image may do the work of a whole scene
+FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one, at least
 KNOWN = 0.005  # probability of having been overlooked below which a place that was found counts as one that was stated
 NEGLIGIBLE = 1e-6  # probability of the candidates below which they are not followed
@@ -186,11 +188,10 @@ class Belief:
         The robot may be carried to another place, with that probability. The surroundings of a place that is tracked
         may cease to be mapped. Any other place may be left for where nothing is mapped, from where it may be entered.
         """
-        rate, stays = novelty * LEFT, 1.0 - carried
-        left, returned, entered = rate * self.tracked, rate * self.unmapped, rate * self.off_map
-        lost = returned  # as often as what is in view is mapped again, the place is another one
+        left, returned = novelty * LEFT * self.tracked, novelty * RETURNED * self.unmapped
+        lost, entered = novelty * RETURNED * self.unmapped, novelty * LEFT * self.off_map
         tracked, unmapped = self.tracked - left + returned, self.unmapped + left - returned - lost
-        elsewhere = (1.0 - rate) * self.elsewhere
+        elsewhere, stays = (1.0 - novelty * LEFT) * self.elsewhere, 1.0 - carried
         mistaken = novelty * MISTAKEN * tracked
         enters = lost + entered + carried * (tracked - mistaken + unmapped + elsewhere)
         return replace(
@@ -220,10 +221,11 @@ class Belief:
         new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
         scene in proportion to it, at most `most_effort` each. On a large map they do so when the place is known.
         """
+        is_first = not is_tracked and self.elsewhere == 0.0 and self.overlooked == 1.0
         shares = is_tracked and (self.is_known or not search.pairs.are_many)
-        effort = min(new, most_effort) if shares else 1.0
+        effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
         proposed, hits = search.proposed(like, sighting, effort, rng)
-        missed = max(OVERLOOKED ** (effort if shares else new), float(np.exp(-hits)))
+        missed = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
         history = replace(self.history, overlooked=missed * self.history.overlooked)
         unexplored, overlooked = missed * self.unexplored, missed * self.overlooked
         belief = replace(self, unexplored=unexplored, overlooked=overlooked, history=history)

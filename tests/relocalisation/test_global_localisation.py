@@ -345,6 +345,18 @@ def test_who_is_carried_may_be_where_nobody_looked() -> None:
     assert moved.overlooked == pytest.approx(0.9 * 0.3, abs=0.01)
 
 
+def test_only_the_first_image_of_a_search_takes_twice_the_effort() -> None:
+    """Also where none of its poses explains the edges."""
+    driven, pose = drive(1), drive(1).truth[0]
+    after_first = replace(Belief.anywhere(), overlooked=0.09)
+    first, second = (
+        after(belief, driven.events[1], Jump(0.2), None, cloud(pose[None]))  # type: ignore[arg-type]
+        for belief in (Belief.anywhere(), replace(after_first, unproposed=0.0))
+    )
+    assert first.overlooked == pytest.approx(0.09)
+    assert second.overlooked == pytest.approx(0.09 * 0.3**0.2, rel=0.01)
+
+
 def test_what_was_overlooked_is_another_place_and_not_a_contradiction() -> None:
     held_back = Belief(0.985, 0.0, 0.005, 0.01, is_known=False, overlooked=0.5)
     sighting = drive(1).events[1]
