@@ -44,11 +44,10 @@ SUSPECTED = 0.008
 WON = 50.0  # odds against the particles from which on a place is tracked in their stead
 RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
-# From which probability of being off the map on, and after how many scenes with enough edges, the map is said not to
-# fit.
+# From which probability of being off the map on, and after how many scenes with enough edges, a map does not fit.
 TRACKED_UNFIT, UNFIT = (0.7, 15.0), (0.97, 22.0)  # while a place is tracked, and while none is
-NO_MAP = 0.7  # the same of a place that is tracked, where near landmarks are missing:
-MISSING = 0.3  # below this probability of the map, by them
+NO_MAP = 0.7  # the same of a place that is tracked, where near landmarks are missing
+MISSING = 0.3  # probability of the map by near landmarks, below which they are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +115,7 @@ class Belief:
         """Return the belief after an image, until which the candidates have moved already.
 
         before: some particles at the tracked place, not weighed by it yet; None where none is tracked. like: particles
-        whose constant errors hold elsewhere too, those tracked if any are. jump: how new the image is. increment: since
-        the last image.
+        whose constant errors hold elsewhere too, those tracked if any are. jump: how new the image is.
         """
         is_tracked, carried = before is not None, jump.carried(search.parameters.carried)
         edges = search.known_edges(sighting)

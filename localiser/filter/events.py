@@ -93,8 +93,8 @@ def moves_between(
     by_delay[:, 2] = wrap_angle(by_delay[:, 2])
     by_delay /= delay_s or 1.0
     paths, turns = np.add.reduceat([path_m, turned_rad], ends[:-1], axis=1)
-    exact = np.zeros((len(means), 3, 3))
-    moves = [Increment(*move) for move in zip(means, exact, paths, turns, by_delay, strict=True)]
+    parts = zip(means, paths, turns, by_delay, strict=True)
+    moves = [Increment(mean, np.zeros((3, 3)), path, turned, per_s) for mean, path, turned, per_s in parts]
     pose = raw.at(t_ns) if len(jumps) else knots[0, -1]
     # Keep the last pose at or before where the next increment, or a later robot's, starts, and the one before it.
     while len(odometry) > 2 and odometry[2].t_ns <= t_ns - round(1e9 * delay_s):

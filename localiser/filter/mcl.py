@@ -139,7 +139,7 @@ class FilterState:
         return self.particles is not None or self.belief.candidates is not None
 
     def begin_at(self, t_ns: int) -> None:
-        """Forget the images before a time, and what is known of the wheels."""
+        """Take the robot to be there at a time: forget the images before, and what is known of the wheels."""
         self.at_ns, self.seen, self.scene, self.wheels = t_ns, None, Scene(), Wheels()
 
 
@@ -357,7 +357,8 @@ def _compared(
     weighed = None if found is None else found.particles
     if mcl.search is None:
         return weighed
-    like, belief, drive = weighed if weighed is not None else _of_candidates(mcl, state, rng), state.belief, image.drive
+    like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
+    belief, drive = state.belief, image.drive
     if belief.candidates is not None:
         moved = mcl.moved(belief.candidates.particles, drive.moves, rng)
         belief = replace(belief, candidates=replace(belief.candidates, particles=moved))

@@ -67,8 +67,8 @@ class Wheels:
         likelihood of the image over particles after a motion. increment, cov: what the wheels say, and its covariance
         (3, 3). seconds: since the last image.
 
-        Unless the map fits worse by so much that, with all that edges may say, one image can bring wheels that were
-        right in doubt, the motion counts as that of the wheels, and the pace follows it.
+        Where wheels were right, and the image fits about as usual (`UNUSUAL`), or the map too well to bring them in
+        doubt with all that edges may say, the motion counts as that of the wheels, and the pace follows it.
         """
         prior = STAY_WRONG * self.wrong + parameters.slip_share * (1.0 - self.wrong)
         needed = max(_log_odds(DOUBTED) - _log_odds(prior) + float(np.log(ASTRAY)), 0.0)
@@ -92,7 +92,7 @@ class Wheels:
         return replace(wheels, usual=usual, pace=pace), None
 
     def located(self, estimate: Estimate | None, seconds: float) -> Wheels:
-        """Return what is known once the robot has been located, `seconds` after the last image; None: it was not."""
+        """Return what is known once the robot is located, `seconds` after the last image; None: was not, or jumped."""
         if estimate is None or self.pose is None:
             return replace(self, pose=None if estimate is None else estimate.pose, pace=None)
         if seconds <= 0 or not self.fit:

@@ -1,8 +1,7 @@
 """The motion model of a wheeled robot, and a Kalman filter for its constant errors inside every particle.
 
-The model is rotation, translation, rotation [Thrun, Burgard, Fox 2005, table 5.6]. The noise grows with the path, as in
-a random walk, so it does not depend on how the path is divided: variances add up over a chain of increments. The
-parameters have AMCL's names. AMCL's own are per step of a filter with a fixed rate; these are per metre and per radian.
+The model is rotation, translation, rotation [Thrun, Burgard, Fox 2005, table 5.6], with noise that grows with the path
+(docs/motion.md).
 
 Five errors of a robot stay constant while it drives. Given the path of the camera, they are observed through a linear
 model with Gaussian noise, so they need not be sampled. A particle has their mean. Their covariance depends on the

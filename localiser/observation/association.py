@@ -52,7 +52,8 @@ class Association:
     def matches(self) -> Matches:
         """Return the most likely landmark of every edge, whether or not an earlier image showed it too."""
         count = len(self.frame.edges.bearing)
-        landmark, (residual, sigma, gate) = np.full(count, -1), np.full((3, count), np.nan)
+        landmark = np.full(count, -1)
+        residual, sigma, gate = np.full((3, count), np.nan)
         visible = np.zeros(len(self.landmark_map), dtype=bool)
         visible[self.landmark[self.in_the_open >= _SHOWN]] = True
         # Ascending, so that the last write to an edge is its best landmark.

@@ -8,9 +8,9 @@ edge of a landmark that misses it by an error of the pose would be taken for clu
 
     λ(e) = s Σ_j K(e; j) + m Λ(e)
 
-K: edge j where it is expected now. s: `SEEN_AGAIN`. m: expected number of new edges. There may always be one, so m is
-at least 1. In an image of one or two edges this alone would expect nearly one more than there are, and every place
-would lose by it. So λ is scaled to the integral that it has without this least m.
+K: edge j where it is expected now. s: `SEEN_AGAIN`. Λ: `grouped_density`. m: expected number of new edges, at least 1.
+In an image of one or two edges this alone would expect nearly one more than there are, and every place would lose by
+it. So λ is scaled to the integral that it has without this least m.
 """
 
 from __future__ import annotations

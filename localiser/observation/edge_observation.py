@@ -70,7 +70,7 @@ class EdgeObservation:
         blur_rad: sigma of the compared angle that is added to every edge's own.
         """
         every = np.ones((1, len(landmark_map)))
-        return np.asarray(self.by_views(particles, sighting, landmark_map, every, blur_rad, of_edges=True)[0])
+        return np.asarray(self.by_views(particles, sighting, landmark_map, every, blur_rad, is_inlier_rate=True)[0])
 
     def by_views(
         self,
@@ -80,13 +80,14 @@ class EdgeObservation:
         visibility: Array,
         blur_rad: float = 0.0,
         *,
-        of_edges: bool = False,
+        is_inlier_rate: bool = False,
     ) -> Array:
         """Return log p(edges | particle, p_k) (V, K, N) for every detection rate, relative to all edges being clutter.
 
         The edges are a Poisson process, see `likelihood_kernel.log_products`: a pose that sees no landmark explains
         them as well as clutter does. Clutter is that of the scene. visibility: (V, L) probability that a landmark in
-        view is not hidden, in V views, which take little more time than one. of_edges: as `by_rate` has it.
+        view is not hidden, in V views, which take little more time than one. is_inlier_rate: for inlier
+        rates instead, as `by_rate` has it; clutter is then that of the last image.
         """
         frame, count = self.frame(sighting.edges), particles.columns.shape[1]
         if not len(frame.edges.bearing):
@@ -96,8 +97,8 @@ class EdgeObservation:
         if CAMERA_YAW in particles.names:
             poses[:, 3] = particles[CAMERA_YAW]
         by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map, blur_rad)
-        odds = INLIER_RATES / (1.0 - INLIER_RATES) if of_edges else DETECTION_RATES / len(by_angle)
-        clutter = sighting.persistent if of_edges else sighting.scene
+        odds = INLIER_RATES / (1.0 - INLIER_RATES) if is_inlier_rate else DETECTION_RATES / len(by_angle)
+        clutter = sighting.persistent if is_inlier_rate else sighting.scene
         rare = np.ones(len(by_angle)) if clutter is None else 1.0 / clutter[by_angle]
         result = np.empty((len(visibility), len(odds), count))
 
@@ -112,7 +113,7 @@ class EdgeObservation:
             low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
             by_heading = np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
             cells = in_cells(some, by_heading, frame, landmark_map, inputs)
-            result[..., part] = kernel.log_products(some, *cells, visibility, odds, of_edges, rare, inputs)
+            result[..., part] = kernel.log_products(some, *cells, visibility, odds, is_inlier_rate, rare, inputs)
 
         threads = self.parameters.threads
         size = min(max(-(-count // threads), _PER_THREAD), _PART)
@@ -178,7 +179,9 @@ def kernel_inputs(
     """Return which edge (E,) is in each row, and how `likelihood_kernel` takes the camera, landmarks and edges.
 
     Landmarks are rows (L, 6): x, z, heights (m), sigma (m) and polarity as the map has them. Edges are rows as in
-    `Frame.table`, -1 for an edge of any landmark. blur_rad: sigma that is added to every edge's own.
+    `Frame.table`, -1 for an edge of any landmark. Before them, the camera on the robot and the map's scale; then the
+    first edge of each bin, how landmarks are seen, how ends are compared, and the span of clutter. blur_rad: sigma that
+    is added to every edge's own.
     """
 
     def table() -> Array:

@@ -153,8 +153,8 @@ class Frame:
 
         Rows (E, 13): compared angle (rad, ascending, inf where unknown), its variance (rad²), upright image heights of
         the lower and upper end (∓1e9 where unknown), 1 / length, of both ends the room that clutter has, the peak
-        beside it and 1 / sigma, mean polarity, landmark whose edge it is said to be. Then which edge a row is (E,),
-        bins of the angles, see `bins_of`, and the largest known variance.
+        beside it and 1 / sigma, mean polarity, landmark that it is said to show, -1 for any. Then which edge a row is
+        (E,), bins of the angles, see `bins_of`, and the largest known variance.
         """
         edges, ends, known = self.edges, self.ends, self.is_known
         identified = self.parameters.association == "known"
@@ -170,7 +170,7 @@ class Frame:
 
     @cached_property
     def sight(self) -> tuple[tuple[float, ...], tuple[float, float, float, float]]:
-        """The image that landmarks are seen in, and how far away they may be, as `log_products` takes them."""
+        """The image that landmarks are seen in, with the camera's height, and how far away they may be."""
         sight, camera = self.parameters.sight, self.camera
         margin = sight.margin_px / camera.focal_px * np.array([-1.0, 1.0, -1.0, 1.0])
         bounds: list[float] = (np.array(camera.upright_bounds) + margin).tolist()

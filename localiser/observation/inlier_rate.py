@@ -1,10 +1,9 @@
 """The inlier rate: the fraction of edges that belong to landmarks of the map, learnt while driving.
 
-The rate differs from place to place and from image to image: in an empty corridor nearly all edges are of landmarks, at
-full bookshelves nearly all are clutter. So every image has its own, and how often each rate occurs is learnt as the
-proportions of a mixture with a Dirichlet prior. So is the detection rate, by which the belief compares places: how many
-edges a landmark in view shows on average. A door jamb can show as two or three edges, yet the largest rate is 1.3: a
-place that explains the edges only if every landmark shows many of them explains nothing.
+Empty corridors and full bookshelves differ in it, so every image has its own. How often each rate occurs is learnt as
+the proportions of a mixture with a Dirichlet prior. So is the detection rate, by which the belief compares places: how
+many edges a landmark in view shows on average. A door jamb can show as two or three edges, yet the largest rate is 1.3:
+a place that explains the edges only if every landmark shows many of them explains nothing.
 """
 
 from __future__ import annotations

@@ -199,7 +199,7 @@ def _end(
 def _weigh(edge: Any, k: int, one: Any, block: Array, lanes: int, ends: Any) -> bool:
     """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and landmark k, seen by each particle; return whether any has one.
 
-    It is 0 where they are no pair: beyond the gate, beside each other, or where the edge is known to be of another one.
+    It is 0 where they are no pair: beyond the gate, one above the other, or where the edge is known to be another.
     c_el is the squared part of the edge that lies between the landmark's ends, times `_end` for each, and polarity.
     one: the landmark as the map has it.
     """

@@ -1,9 +1,8 @@
 """The landmarks of the tracked place: which are hidden, and whether those beside the robot are there (docs/belief.md).
 
 The map has no walls, so it cannot tell which landmarks are hidden. But an edge matches a landmark in a part of the
-scenes that have it in view, near 0 for one that is hidden and near 1 for one that shows. Of landmarks near the robot,
-this part was measured on worn maps of the building and on maps of another one. None is tested behind a matched one
-within 30° that is nearer by 0.15 m: that one may be on a wall. On a map of the building a place that is tracked is
+scenes that have it in view, and for landmarks near the robot this part was measured. None is tested behind a matched
+one within 30° that is nearer by 0.15 m: that one may be on a wall. On a map of the building a place that is tracked is
 hardly ever wrong, so odds against one still count when another one is tracked in its stead, and fade as scenes do.
 """
 

@@ -1,7 +1,7 @@
 """Global localisation: poses proposed from one image, weighed by all of its edges; steps: docs/relocalisation.md.
 
 While the blur of the likelihood L narrows, poses that are moved one way are as likely moved the other way. So the
-weight of a pose is that of all that it is drawn from, divided by L at where it came from: a sum of w L over poses is
+weight w of a pose is that of all that it is drawn from, divided by L at where it came from: a sum of w L over poses is
 the evidence at every blur. Without the last likelihood they are draws from the prior.
 """
 

@@ -1,8 +1,6 @@
 """Two images of one camera: where their edges stand, and which of them may be one edge (docs/visual_odometry.md).
 
-Grey values agree on at least one side of an edge, because the background on the other side changes. The lower end is
-its foot and determines the range, or it is not (a window, a skirting board, something in front), and the edge is at any
-shorter range.
+Grey values agree on at least one side of an edge, because the background on the other side changes.
 """
 
 from __future__ import annotations
