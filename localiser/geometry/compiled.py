@@ -4,8 +4,7 @@ Numba's own cache does not do (0.68): its key is the time of a loop's file alone
 goes out of date; two processes that compile at once can mix up their files; a damaged file, or no folder that can be
 written, ends the program. Here the key is a digest of the loop's file, of the files of loops and the constants that it
 imports, of how it is compiled, the types of the arguments, the processor and the versions of numba, LLVM, numpy and
-Python. Kept code is never out of date, as long as loops use nothing else from other files, which a test checks. The
-first loop that is compiled imports numba, which takes long.
+Python. Kept code is never out of date, as long as loops use nothing else from other files, which a test checks.
 """
 
 from __future__ import annotations

@@ -9,9 +9,6 @@ odometry alone, so it is the same for all particles (Rao-Blackwell) [Doucet, de 
 Gustafsson, Nordlund 2005].
 
     step = (along, left, turn) = odometry + H β + noise,    β = (distance_scale, turn_scale, veer, delay, camera_yaw)
-
-A particle's pose and its mean yaw together are one pose of the *camera*, which is what edges measure. The yaw is the
-direction in which the camera is moved, so driving straight ahead determines it.
 """
 
 from __future__ import annotations

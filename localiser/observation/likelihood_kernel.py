@@ -179,10 +179,7 @@ def _normal(y: float) -> float:
 def _end(
     measured: Any, room: float, peak: float, block: Array, lanes: int, rows: Any, missed: float, is_unknown: bool
 ) -> None:
-    """Write how much likelier one end of an edge is if it is the landmark's: *Ends* in docs/observation.md.
-
-    An end without a peak, which the border made, takes half as long.
-    """
+    """Write how much likelier one end of an edge is if it is the landmark's: *Ends* in docs/observation.md."""
     e, per_sigma = measured
     expected, at = rows
     for m in range(lanes):
@@ -196,16 +193,8 @@ def _end(
 
 
 @inlined
-def _weigh(edge: Any, k: int, one: Any, block: Array, lanes: int, ends: Any) -> bool:
-    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and landmark k, seen by each particle; return whether any has one.
-
-    It is 0 where they are no pair: beyond the gate, one above the other, or where the edge is known to be another.
-    c_el is the squared part of the edge that lies between the landmark's ends, times `_end` for each, and polarity.
-    one: the landmark as the map has it.
-    """
-    if edge[_IDENTITY] >= 0 and edge[_IDENTITY] != k:
-        return False
-    tolerance, missed = ends
+def _meet(edge: Any, block: Array, lanes: int, tolerance: float) -> int:
+    """Compare an edge with the landmark, seen by each particle; return of how many they are a pair."""
     pairs = 0
     for m in range(lanes):
         residual, spread = edge[_MEASURED] - block[_ANGLE, m], edge[_VAR] + block[_VARIANCE, m]
@@ -215,19 +204,24 @@ def _weigh(edge: Any, k: int, one: Any, block: Array, lanes: int, ends: Any) -> 
         block[_COVERED, m] = inside * edge[_PER_LENGTH]
         block[_IS_PAIR, m] = 1.0 if is_pair else 0.0
         pairs += is_pair
-    if pairs == 0:
-        return False
+    return pairs
+
+
+@inlined
+def _weigh(edge: Any, block: Array, lanes: int, missed: float, hidden: Any, alike: float) -> None:
+    """Write √(2π) c_el N(q_e; q_l, σ_el²) of an edge and the landmark, 0 where they are no pair.
+
+    c_el is the squared part of the edge that lies between the landmark's ends, times `_end` for each, and polarity.
+    """
     low, high = (edge[_LOW], edge[_PER_SIGMA_LOW]), (edge[_HIGH], edge[_PER_SIGMA_HIGH])
-    _end(low, edge[_ROOM_LOW], edge[_PEAK_LOW], block, lanes, (_FOOT, _AT_FOOT), missed, one[2] <= -UNKNOWN_M)
-    _end(high, edge[_ROOM_HIGH], edge[_PEAK_HIGH], block, lanes, (_TOP, _AT_TOP), missed, one[3] >= UNKNOWN_M)
-    alike = 1.0 + edge[_POLARITY] * one[5]
+    _end(low, edge[_ROOM_LOW], edge[_PEAK_LOW], block, lanes, (_FOOT, _AT_FOOT), missed, hidden[0])
+    _end(high, edge[_ROOM_HIGH], edge[_PEAK_HIGH], block, lanes, (_TOP, _AT_TOP), missed, hidden[1])
     for m in range(lanes):
         per = 1.0 / block[_SPREAD, m]
         covered = min(block[_COVERED, m], 1.0)
         agreement = _normal(-0.5 / 16 * block[_RESIDUAL, m] * block[_RESIDUAL, m] * per) * covered * covered
         density = agreement * block[_AT_FOOT, m] * block[_AT_TOP, m] * alike * np.sqrt(per)
         block[_DENSITY, m] = density if block[_IS_PAIR, m] > 0 else 0.0
-    return True
 
 
 @inlined
@@ -327,6 +321,7 @@ def log_products(
             _place(poses, order, n, size, lanes, offset, block)
             for k in item[start[c] : start[c + 1]]:
                 one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
+                hidden = one[2] <= -UNKNOWN_M, one[3] >= UNKNOWN_M
                 _look(block, lanes, one, sigma_m * sigma_m, seen_in)
                 _count(block, lanes, visibility, k)
                 # Edges in these bins are near for any of the particles, and perhaps some more.
@@ -334,7 +329,9 @@ def log_products(
                 for m in range(lanes):
                     lowest, highest = min(lowest, np.int64(block[_FIRST, m])), max(highest, np.int64(block[_END, m]))
                 for e in range(first[lowest], first[highest]):
-                    if _weigh(edges[e], k, one, block, lanes, ends):
+                    edge = edges[e]
+                    if (edge[_IDENTITY] < 0 or edge[_IDENTITY] == k) and _meet(edge, block, lanes, ends[0]) > 0:
+                        _weigh(edge, block, lanes, ends[1], hidden, 1.0 + edge[_POLARITY] * one[5])
                         _add_up(e, k, visibility, block, lanes, density)
                         is_near[e] = True
 
@@ -379,6 +376,7 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
     _place(poses, np.arange(2), 0, 2, 2, offset, block)
     for k in item:
         one, sigma_m = landmarks[k], map_scale * landmarks[k, 4]
+        hidden = one[2] <= -UNKNOWN_M, one[3] >= UNKNOWN_M
         _look(block, 2, one, 1.0, seen_in)
         angle, per_m_sq, is_open = block[_ANGLE, 0], block[_VARIANCE, 0], block[_OPEN, 0]
         if is_open == 0:
@@ -391,7 +389,9 @@ def associate(pose: Array, cov: Array, item: NDArray[np.int32], inputs: Any) -> 
         by_map, by_pose = sigma_m * sigma_m * per_m_sq, max(by_pose, 0.0) * per_m_sq / square
         block[_VARIANCE, 0], block[_VARIANCE, 1] = by_map, by_map + by_pose
         for e in range(len(edges)):
-            if _weigh(edges[e], k, one, block, 2, ends):
+            edge = edges[e]
+            if (edge[_IDENTITY] < 0 or edge[_IDENTITY] == k) and _meet(edge, block, 2, ends[0]) > 0:
+                _weigh(edge, block, 2, ends[1], hidden, 1.0 + edge[_POLARITY] * one[5])
                 pairs[used, 0], pairs[used, 1], pairs[used, 2] = shown, e, block[_RESIDUAL, 0]
                 for m in range(2):
                     pairs[used, 3 + m] = per_density * is_open * block[_DENSITY, m]

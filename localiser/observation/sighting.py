@@ -1,7 +1,6 @@
 """What was measured at one time, what an observation says of it, and what any observation must be able to do.
 
-The one method that the filter needs is `Observation.log_likelihood`. All else, as learning the inlier rate or finding
-the robot anywhere on the map, it does with `EdgeObservation`, whose parameters are here too.
+The filter needs `Observation.log_likelihood` alone. All else it does with `EdgeObservation`, whose parameters are here.
 """
 
 from __future__ import annotations
