@@ -201,23 +201,35 @@ def centred(columns: Array, weight: Array) -> tuple[Array, Array]:
 def systematic_resample(weight: Array, count: int, rng: np.random.Generator) -> Indices:
     """Return `count` indices from an even comb with one uniform offset: offspring are ⌊count·w⌋ or ⌈count·w⌉.
 
-    weight: (N,) not negative, of any positive sum. [Carpenter, Clifford, Fearnhead 1999]
+    weight: (N,) not negative, of any positive sum. Raises ValueError when the sum is zero or not finite, or a weight is
+    negative. [Carpenter, Clifford, Fearnhead 1999]
     """
     offset = rng.random()
-    cumulative = np.cumsum(weight)
+    cumulative, last = _cumulative(weight)
     place = cumulative * (count / cumulative[-1])
     whole = np.minimum(place.astype(np.int64), count - 1)
     # Teeth of the comb below `place`: all at whole numbers before, and the next one if it comes first.
     below = whole + (offset < place - whole)
-    below[np.flatnonzero(weight)[-1] :] = count
+    below[last:] = count
     return np.repeat(np.arange(len(below)), np.diff(below, prepend=0))
 
 
 def multinomial_resample(weight: Array, count: int, rng: np.random.Generator) -> Indices:
-    """Return `count` ascending indices drawn independently [Gordon, Salmond, Smith 1993]; weight: as above."""
-    cumulative = np.cumsum(weight)
+    """Return `count` ascending indices drawn independently [Gordon, Salmond, Smith 1993]; weight, errors: as above."""
+    cumulative, last = _cumulative(weight)
     drawn = np.sort(rng.random(count)) * cumulative[-1]
-    return np.asarray(np.minimum(np.searchsorted(cumulative, drawn, side="right"), np.flatnonzero(weight)[-1]))
+    return np.asarray(np.minimum(np.searchsorted(cumulative, drawn, side="right"), last))
+
+
+def _cumulative(weight: Array) -> tuple[Array, int]:
+    """Return the cumulative sum (N,) and the index of the last particle that has any weight; checks the weights."""
+    cumulative = np.cumsum(weight, dtype=np.float64)
+    total = cumulative[-1] if len(cumulative) else 0.0
+    if not np.isfinite(total) or total <= 0:
+        raise ValueError(f"weights sum to {total}")
+    if np.min(weight) < 0:
+        raise ValueError(f"weight {np.min(weight)} is negative")
+    return cumulative, int(np.flatnonzero(weight)[-1])
 
 
 # -- clusters: the places where the robot may be, each with weight, mean and covariance -------------------------------
@@ -250,9 +262,13 @@ class Clusters:
 def find_clusters(poses: Array, weight: Array, *, mass: float = 0.95) -> Clusters:
     """Return the clusters of poses (N, 3) with weight (N,), in cells of `CELL_M` × `CELL_M` × `CELL_RAD`.
 
-    weight: not negative, of any positive sum. mass: share of it, 0 … 1, that clusters hold at least.
+    weight: not negative. mass: share of the weight, 0 … 1, that clusters hold at least. Raises ValueError when the
+    weights' sum is zero or not finite.
     """
-    share = weight / weight.sum()
+    total = float(np.sum(weight))
+    if not np.isfinite(total) or total <= 0:
+        raise ValueError(f"weights sum to {total}")
+    share = weight / total
     if (np.ptp(poses.T.copy(), axis=1) < [CELL_M, CELL_M, CELL_RAD]).all():  # as while a place is tracked
         return _summarised(poses, share, np.zeros(len(poses), dtype=np.int64))
     cells, cell_of_pose = _cells(poses)

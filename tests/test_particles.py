@@ -197,6 +197,13 @@ def test_a_sum_that_rounding_leaves_beside_one_loses_nobody(resample, weight, un
     assert (weight[index] > 0).all()
 
 
+@schemes
+@pytest.mark.parametrize("weight", [[0.0, 0.0], [np.nan, 1.0], [np.inf, 1.0], [], [-0.5, 1.0]])
+def test_weights_that_mean_nothing_are_refused(resample, weight):
+    with pytest.raises(ValueError, match="weight"):
+        resample(np.array(weight), 3, np.random.default_rng(0))
+
+
 @given(weight=weights, count=st.integers(1, 80), seed=st.integers(0, 100))
 def test_systematic_offspring_are_the_whole_numbers_beside_what_is_expected(weight, count, seed):
     index = systematic_resample(weight, count, np.random.default_rng(seed))
@@ -317,6 +324,12 @@ def test_sums_add_up_and_clusters_are_sorted(seed, count, mass):
     assert (np.diff(found.weight) <= 0).all()
     np.testing.assert_array_equal(np.unique(found.label[found.label >= 0]), np.arange(len(found)))
     assert (np.linalg.eigvalsh(found.cov) > -1e-12).all()
+
+
+@pytest.mark.parametrize("weight", [[0.0, 0.0], [np.nan, 1.0], [np.inf, 1.0]])
+def test_weights_of_clusters_that_mean_nothing_are_refused(weight):
+    with pytest.raises(ValueError, match="weights"):
+        find_clusters(np.zeros((2, 3)), np.array(weight))
 
 
 def test_places_a_world_apart_are_those_of_a_small_box():
