@@ -185,7 +185,8 @@ FIGURES = {
     "log_score": Figure(
         "log score", "mean logarithm of the probability that was given to what is true", 3, more_is_better=True
     ),
-    "warned_s": Figure("warned s", "seconds until it is said that the map does not fit", 1, is_judged=False),
+    "warned_s": Figure("warned s", "seconds until it is said that a wrong map does not fit", 1, 0.2),
+    "warned": Figure("warned", "share of the images in which it is said that the right map does not fit", is_rate=True),
     "ms": Figure("ms", "processor time of an image, mean; edges not counted", 1, is_judged=False),
     "recall": Figure("recall", "share of the hand-labelled edges that are found", is_rate=True, more_is_better=True),
     "precision": Figure("precision", "share of the edges found that are labelled", is_rate=True, more_is_better=True),
@@ -210,7 +211,8 @@ def figures(record: Record, *, first: int = 0, stated: bool = False) -> Values:
     found = float(in_succession.argmax()) if in_succession.any() else NEVER
     since = slice(0 if stated else int(min(found, len(right))), None)
     known = len(error_m[since]) > 0 and np.isfinite(error_m).all()
-    warned = record.seconds[first:][record.warned[first:]]
+    warned, seconds = record.warned[first:], record.seconds[first:] - record.seconds[first]
+    is_wrong = np.isnan(record.error).any()  # the map is
     said = np.clip(np.where(right, p_correct, 1.0 - p_correct), LEAST, 1.0)
     bins = np.minimum((p_correct * BINS).astype(int), BINS - 1)
     gaps = np.bincount(bins, p_correct - right, minlength=BINS)
@@ -224,6 +226,7 @@ def figures(record: Record, *, first: int = 0, stated: bool = False) -> Values:
         "sure_wrong": float((sure & ~right).mean()),
         "ece": float(np.abs(gaps).sum() / len(right)),
         "log_score": float(np.log(said).mean()),
-        "warned_s": float(warned[0] - record.seconds[first]) if len(warned) else NEVER,
+        **({"warned_s": float(seconds[warned.argmax()]) if warned.any() else NEVER} if is_wrong else {}),
+        **({} if is_wrong else {"warned": float(warned.mean())}),
         "ms": float(record.ms[1:].mean()),
     }

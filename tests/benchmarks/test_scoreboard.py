@@ -89,8 +89,16 @@ def test_a_robot_that_is_looked_for_is_judged_from_the_first_of_five_right_image
 
 def test_a_robot_that_is_never_found_counts_as_worse_than_any() -> None:
     values = figures(record([0.1, 0.1, 0.1, 0.1, 4.0] * 6, [0.3] * 30))
-    assert all(values[key] == NEVER for key in ("found", "rmse_m", "median_m", "heading_deg", "nees", "warned_s"))
+    assert all(values[key] == NEVER for key in ("found", "rmse_m", "median_m", "heading_deg", "nees"))
     assert values["sure"] == 0.0
+
+
+def test_a_warning_is_due_soon_on_a_wrong_map_and_never_on_a_right_one() -> None:
+    warned = np.arange(40) >= 20
+    right, wrong = record([0.1] * 40, [0.3] * 40, warned=warned), record([math.nan] * 40, [0.3] * 40, warned=warned)
+    assert figures(right, first=10)["warned"] == 20 / 30 and "warned_s" not in figures(right)
+    assert figures(wrong, first=10)["warned_s"] == pytest.approx(2.0) and "warned" not in figures(wrong)
+    assert figures(record([math.nan] * 9, [0.3] * 9))["warned_s"] == NEVER
 
 
 def test_a_carried_robot_is_judged_from_where_it_is_set_down() -> None:
