@@ -80,12 +80,15 @@ def step_density(step: Step, camera: Camera, targets: Targets, novelty: float) -
 
 def drawn(root: Array, explained: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return standardised steps (3, N), and log p/q (N,) of having drawn them. root, explained: of `step_density`."""
-    from localiser.filter import optimal_proposal_kernel as kernel
-
-    normal = rng.standard_normal(explained.shape)
-    blind = rng.random(len(normal.T)) < BLIND
-    step, log_density = kernel.drawn(root, explained, normal, blind)
-    return step, -_log_mixed(log_density)
+    (l00, l10, l11, l20, l21, l22), step = root, rng.standard_normal(explained.shape)
+    blind, (y0, y1, y2), (z0, z1, z2) = rng.random(len(step.T)) < BLIND, explained, step
+    third = np.where(blind, z2, (y2 + z2) / l22)
+    second = np.where(blind, z1, (y1 + z1 - l21 * third) / l11)
+    first = np.where(blind, z0, (y0 + z0 - l10 * second - l20 * third) / l00)
+    square = first**2 + second**2 + third**2
+    square -= (l00 * first + l10 * second + l20 * third - y0) ** 2 + (l11 * second + l21 * third - y1) ** 2
+    square -= (l22 * third - y2) ** 2
+    return np.stack([first, second, third]), -_log_mixed(0.5 * square + np.log(l00 * l11 * l22))
 
 
 def warm_up() -> None:
@@ -96,8 +99,7 @@ def warm_up() -> None:
     one = Particles(POSE, np.zeros((3, 1)), np.zeros(1))
     MotionParameters().predict(one, Increment.from_mean(np.zeros(3)), np.random.default_rng(0))
     for is_slope in (False, True):
-        found = kernel.linearised(np.zeros((13, 1)), np.zeros((1, 5)), (0.0, 0.0, 1.0, 0.0), 0.3, is_slope)
-    kernel.drawn(found[:6], found[6:9], np.zeros((3, 1)), np.zeros(1, dtype=bool))
+        kernel.linearised(np.zeros((13, 1)), np.zeros((1, 5)), (0.0, 0.0, 1.0, 0.0), 0.3, is_slope)
 
 
 def flattened(log_evidence: Array, log_weight: Array) -> Array:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from localiser.geometry import Array
+from localiser.geometry.angle_kernel import arctan
 from localiser.geometry.compiled import entry, inlined
 
 NEAREST_M = 0.05  # ahead of the camera; what is nearer or behind tells nothing
@@ -55,14 +55,10 @@ def _add(block: Array, target: Any, sin_tilt: float, is_slope: bool) -> None:
         across = sin_tilt * right if is_slope else right
         per_bearing = sin_tilt * square / (ahead * ahead + across * across) if is_slope else 1.0
 
-        # Measured less expected angle; arctan of smaller over larger: Abramowitz, Stegun 1964, 4.4.49, to 2e-8.
+        # Measured less expected angle, by the arctangent of smaller over larger.
         one, other = sin_angle * ahead - cos_angle * across, cos_angle * ahead + sin_angle * across
         steep = abs(one) > abs(other)
-        u = (abs(other) if steep else abs(one)) / (abs(one) if steep else abs(other))
-        v = u * u
-        residual = -0.0752896400 + v * (0.0429096138 + v * (-0.0161657367 + v * 0.0028662257))
-        residual = -0.3333314528 + v * (0.1999355085 + v * (-0.1420889944 + v * (0.1065626393 + v * residual)))
-        residual = u * (1 + v * residual)
+        residual = arctan((abs(other) if steep else abs(one)) / (abs(one) if steep else abs(other)))
         residual = np.pi / 2 - residual if steep else residual
         residual = np.pi - residual if other < 0 else residual
         residual = -residual if one < 0 else residual
@@ -130,30 +126,3 @@ def linearised(
             for m in range(size):
                 result[row, first + m] = block[_A00 + row, m]
     return result
-
-
-@entry
-def drawn(root: Array, explained: Array, normal: Array, blind: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return steps (3, N) and log q/p (N,) of each: L⁻ᵀ (y + normal), or `normal` itself where `blind` (N,).
-
-    root: L (6, N). explained: y (3, N). normal: (3, N) standard normal draws.
-    """
-    count = normal.shape[1]
-    step, log_ratio = np.empty((3, count)), np.empty(count)
-    for n in range(count):
-        l00, l10, l11, l20, l21, l22 = root[0, n], root[1, n], root[2, n], root[3, n], root[4, n], root[5, n]
-        y0, y1, y2 = explained[0, n], explained[1, n], explained[2, n]
-        z0, z1, z2 = normal[0, n], normal[1, n], normal[2, n]
-        third = (y2 + z2) / l22
-        second = (y1 + z1 - l21 * third) / l11
-        first = (y0 + z0 - l10 * second - l20 * third) / l00
-        first, second, third = (z0, z1, z2) if blind[n] else (first, second, third)
-        off0, off1, off2 = (
-            l00 * first + l10 * second + l20 * third - y0,
-            l11 * second + l21 * third - y1,
-            l22 * third - y2,
-        )
-        square = first * first + second * second + third * third
-        step[0, n], step[1, n], step[2, n] = first, second, third
-        log_ratio[n] = 0.5 * (square - off0 * off0 - off1 * off1 - off2 * off2) + np.log(l00 * l11 * l22)
-    return step, log_ratio

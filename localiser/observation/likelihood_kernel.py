@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, Indices
-from localiser.geometry.angle_kernel import cos_sin_near
+from localiser.geometry.angle_kernel import arctan, cos_sin_near
 from localiser.geometry.compiled import entry, inlined
 
 LANES = 8  # float64 in a vector register
@@ -46,9 +46,6 @@ _MEASURED, _VAR, _LOW, _HIGH, _PER_LENGTH, _ROOM_LOW, _ROOM_HIGH, _PEAK_LOW, _PE
 _PER_SIGMA_LOW, _PER_SIGMA_HIGH, _POLARITY, _IDENTITY = range(9, 13)
 
 
-# -- what particles see -----------------------------------------------------------------------------------------------
-
-
 @inlined
 def _turn(block: Array, lanes: int) -> None:
     """Write cosine and sine of the headings: their series within an eighth of a turn, to the last digits."""
@@ -77,19 +74,6 @@ def _place(poses: Array, order: Indices, first: int, size: int, lanes: int, offs
         block[_Z, m] += block[_COS, m] * back - block[_SIN, m] * right
         block[_HEADING, m] += block[_YAW, m] + yaw
     _turn(block, lanes)
-
-
-@inlined
-def _arctan(u: float) -> float:
-    """Return the arctangent of u, 0 … 1, to 2e-8 [Abramowitz, Stegun 1964, 4.4.49].
-
-    The series is added up by halves, which do not wait for each other.
-    """
-    v = u * u
-    v2 = v * v
-    low_half = (1 - 0.3333314528 * v) + v2 * (0.1999355085 - 0.1420889944 * v)
-    high_half = (0.1065626393 - 0.0752896400 * v) + v2 * (0.0429096138 - 0.0161657367 * v + 0.0028662257 * v2)
-    return u * (low_half + v2 * v2 * high_half)
 
 
 @inlined
@@ -135,7 +119,7 @@ def _look(block: Array, lanes: int, one: Any, position_var: float, seen_in: Any)
         steep = across > ahead
         numerator, denominator = (ahead if steep else across), (across if steep else ahead)
         per = 1.0 / (denominator * square)
-        angle = _arctan(numerator * square * per)
+        angle = arctan(numerator * square * per)
         angle = _HALF_PI - angle if steep else angle
         negative = ((right < 0) != (s < 0)) if is_slope else right < 0
         angle = -angle if negative else angle
