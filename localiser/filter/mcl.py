@@ -24,7 +24,7 @@ from localiser.filter.height import COARSE_NOVELTY, COARSE_SIGMA_M, LEAST_NOVELT
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
-from localiser.filter.tempering import Tempering, Weighed
+from localiser.filter.tempering import Weighed, weighed_in_stages
 from localiser.filter.wheels import MOST_FOLLOWED, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
@@ -310,8 +310,10 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
         moved = proposal.moved(cloud, step, last, motion, rng)
     else:
         moved = mcl.moved(cloud, image.drive.moves, rng)
-    tempering = Tempering(observation, mcl.landmark_map, sighting, inliers, novelty, parameters.stage_below)
-    return tempering.weighed(moved, not state.weighed, rng)
+    landmark_map, stage_below, is_first = mcl.landmark_map, parameters.stage_below, not state.weighed
+    return weighed_in_stages(
+        moved, observation, sighting, landmark_map, inliers, novelty, stage_below, rng, is_first=is_first
+    )
 
 
 def _contradicted(
@@ -357,8 +359,12 @@ def _compared(
     weighed = None if found is None else found.particles
     if mcl.search is None:
         return weighed
-    like = weighed if weighed is not None else _of_candidates(mcl, state, rng)
-    belief, drive = state.belief, image.drive
+    belief, drive, like = state.belief, image.drive, weighed
+    if like is None and belief.candidates is not None:
+        like = belief.candidates.particles
+    elif like is None:  # constant errors that a robot may have of which nothing is known
+        like = Particles(POSE, np.zeros((3, 1)), np.zeros(1))
+        like = mcl.motion.with_constant_errors(like) if isinstance(mcl.motion, MotionParameters) else like
     if belief.candidates is not None:
         moved = mcl.moved(belief.candidates.particles, drive.moves, rng)
         belief = replace(belief, candidates=replace(belief.candidates, particles=moved))
@@ -376,14 +382,6 @@ def _compared(
         belief, weighed = belief.released(weighed, maps), None
     state.belief = belief
     return weighed
-
-
-def _of_candidates(mcl: Mcl, state: FilterState, rng: np.random.Generator) -> Particles:
-    """Return particles with the constant errors that a robot may have of which nothing is known."""
-    if state.belief.candidates is not None:
-        return state.belief.candidates.particles
-    origin = particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), mcl.parameters.start_particles, rng)
-    return mcl.motion.with_constant_errors(origin) if isinstance(mcl.motion, MotionParameters) else origin
 
 
 def _located(

@@ -5,7 +5,7 @@ import pytest
 from grid_filter import GridFilter, headings
 
 from localiser import particles
-from localiser.filter.tempering import Tempering
+from localiser.filter.tempering import weighed_in_stages
 from localiser.geometry import Array, Increment, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import INLIER_RATES, EdgeObservation, InlierRate, Sighting
@@ -70,8 +70,9 @@ def test_spreading_keeps_mean_and_covariance(heading: float) -> None:
 
 def weighed(peak: Peak, cloud: Particles, *, first: bool = False, stage_below: float = 0.3, seed: int = 0) -> Particles:
     landmark_map = LandmarkMap.from_points(np.zeros((1, 2)))
-    tempering = Tempering(peak, landmark_map, Sighting(0), InlierRate.unknown(), 1.0, stage_below)
-    return tempering.weighed(cloud, first, np.random.default_rng(seed)).particles
+    rng, unknown = np.random.default_rng(seed), InlierRate.unknown()
+    found = weighed_in_stages(cloud, peak, Sighting(0), landmark_map, unknown, 1.0, stage_below, rng, is_first=first)
+    return found.particles
 
 
 @pytest.mark.parametrize("sharpness", [1 / 4, 1 / 40])
