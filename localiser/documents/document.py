@@ -170,9 +170,6 @@ def _encodable(value: Any) -> Any:
     return [_encodable(part) for part in value] if isinstance(value, (list, tuple)) else value
 
 
-# -- parsing -----------------------------------------------------------------------------------------------------------
-
-
 def load(path: Path) -> Document:
     """Return the one YAML document of a file. Raises InputError."""
     return parse(read_text(path), str(path))
@@ -263,8 +260,6 @@ class _Parser:
     def _place(self, event: Any) -> Place:
         return Place(self._source, event.start_mark.line + 1, event.start_mark.column + 1)
 
-
-# -- as a typed model -------------------------------------------------------------------------------------------------
 
 _UNKNOWN_KEY = {"extra_forbidden", "unexpected_keyword_argument"}
 _NOT_A_MAPPING = {"model_type", "dataclass_type", "dict_type", "model_attributes_type"}

@@ -77,9 +77,6 @@ def read_text(path: Path, max_bytes: int = MAX_DOCUMENT_BYTES) -> str:
         raise InputError(f"expected UTF-8 text, found byte {data[error.start]:#04x}", path=path, line=line) from None
 
 
-# -- writing -----------------------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def output_errors(path: Path) -> Iterator[None]:
     """Turn what the operating system says about writing `path` into an OutputError."""

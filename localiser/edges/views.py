@@ -76,8 +76,6 @@ def _cubic_weights(count: int) -> Array:
     return weights
 
 
-# -- with tilt and roll undone ----------------------------------------------------------------------------------------
-
 ROWS_AT_ONCE = 2  # rows of the image that become one of the rectified one, averaged beforehand: half as much to look up
 ROWS_PER_BLOCK = 4  # the height of the rectified image is a multiple of this: rows that are averaged to one
 _WIDEST = 2.5  # limit of the rectified width over the image's; only a view of the nadir point itself would want more

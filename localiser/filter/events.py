@@ -109,9 +109,6 @@ def is_silent(odometry: deque[Odometry], start_ns: int, t_ns: int) -> bool:
     return bool(((after - before > SILENT_NS) & (before < t_ns) & (after > start_ns)).any())
 
 
-# -- results ----------------------------------------------------------------------------------------------------------
-
-
 def is_near(poses: Array, pose: Array) -> NDArray[np.bool_]:
     """Return which of the poses (N, 3) are within 0.5 m and 10° of `pose` (3,)."""
     near = np.hypot(poses[:, 0] - pose[0], poses[:, 1] - pose[1]) < CORRECT_M
