@@ -30,7 +30,6 @@ MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so th
 SURELY_CARRIED = 0.5  # probability of having been carried from which on one image may do the work of a whole scene
 FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one, at least
-KNOWN = 0.005  # probability of having been overlooked below which a place that was found counts as one that was stated
 NEGLIGIBLE = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
@@ -46,7 +45,6 @@ RELEASED = 1e-3  # probability below which the particles are no longer tracked, 
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
 # From which probability of being off the map on, and after how many scenes with enough edges, a map does not fit.
 TRACKED_UNFIT, UNFIT = (0.7, 15.0), (0.97, 22.0)  # while a place is tracked, and while none is
-NO_MAP = 0.7  # the same of a place that is tracked, where near landmarks are missing
 MISSING = 0.3  # probability of the map by near landmarks, below which they are
 
 
@@ -128,13 +126,14 @@ class Belief:
         told = novelty / scenes if edges >= FEWEST_EDGES else 0.0  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
-        may_be_lost = 1.0 - belief.here >= search.parameters.doubt or not belief.is_known
+        doubt = search.parameters.doubt
+        may_be_lost = 1.0 - belief.here >= doubt or not belief.is_known
         if new < PROPOSING_NOVELTY or (may_be_lost and not edges):
             return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
             belief = belief._explored(search, like, is_tracked, sighting, new, most_effort, motion, rng)
-        if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
+        if not may_be_lost or (is_tracked and belief.overlooked < doubt):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.parameters.particles_most) if is_tracked else search.parameters.particles_most
         candidates = None if belief.candidates is None else belief.candidates.resampled(most, rng)
@@ -349,8 +348,8 @@ class Belief:
     @property
     def warning(self) -> MapWarning:
         """What a user should look at, "" where all is well."""
-        does_not_fit = self.unfit >= 1.0 or (self.landmarks.probability < MISSING and self._contradicted > NO_MAP)
-        return "this map does not fit" if does_not_fit else ""
+        are_missing = self.landmarks.probability < MISSING and self._contradicted > TRACKED_UNFIT[0]
+        return "this map does not fit" if self.unfit >= 1.0 or are_missing else ""
 
 
 def _rated(cloud: Particles, by_rate: Array, rate: DetectionRate, novelty: float) -> tuple[DetectionRate, float]:

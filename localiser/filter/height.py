@@ -31,8 +31,7 @@ COARSE_SIGMA_M = 0.0125  # half of their distance, so that none falls between th
 UNKNOWN_SIGMA_M = 0.02  # sigma from which on they are
 COARSE_NOVELTY = 0.5  # between images that they are weighed by, as that takes time
 IMAGE_POWER = 0.6  # of the likelihood over particles, here and where wheels are judged: edges of an image err together
-# From how many sigmas on an offset is used instead of what is stated, and how many contradict that.
-_USED, _SIGMAS = 1.0, 3.0
+_SIGMAS = 3.0  # from which on an offset contradicts what is stated; from one on it is used
 
 _STATED: Array = np.exp(-0.5 * (OFFSETS_M / STATED_SIGMA_M) ** 2)
 _STATED /= _STATED.sum()
@@ -113,7 +112,7 @@ class Height:
         sigma_m = float(np.sqrt(self._variance))
         if is_tracked and sigma_m > UNEVEN_M:
             edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
-        if abs(self.mean_m) < _USED * self.sigma_m:
+        if abs(self.mean_m) < self.sigma_m:
             return edges
         return seen_from(edges, camera, round(self.mean_m / STEP_M) * STEP_M)
 

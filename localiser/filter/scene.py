@@ -13,15 +13,15 @@ import numpy as np
 
 from localiser.geometry import Array, Increment, between
 from localiser.motion import MotionModel, covariance_of
-from localiser.observation import EarlierFrame, EdgeObservation, Sighting, scene_clutter
+from localiser.observation import SEEN_AGAIN, EarlierFrame, EdgeObservation, Sighting, scene_clutter
 
 SCENE_M, SCENE_RAD = 0.3, np.radians(12.0)
 APART = 0.05  # scenes between the images that are kept, so that a robot that stands still keeps few
 WITH_OLDER = 2  # images a scene back that are compared with: an edge that the last of them missed is in the one before
 WHOLLY_NEW = 4.0  # log-ratio of having been carried from which on the images before are of another scene
-# The fraction of edges that continue one of the image before is beta distributed: its mean at first and after a robot
-# was carried, and a + b, as edges of one object come and go together.
-USUAL, CARRIED, CONCENTRATION = 0.8, 0.2, 6.0
+# The fraction of edges that continue one of the image before is beta distributed: its mean after a robot was carried,
+# and a + b, as edges of one object come and go together.
+CARRIED, CONCENTRATION = 0.2, 6.0
 FRACTIONS: Array = np.linspace(0.01, 0.99, 50)
 USUAL_MEMORY = 0.95  # part of the usual fraction that an image leaves
 
@@ -63,7 +63,7 @@ class Scene:
     """
 
     images: tuple[SeenImage, ...] = ()
-    usual: float = USUAL
+    usual: float = SEEN_AGAIN
     moved: Increment = field(default_factory=lambda: Increment.from_mean(np.zeros(3)))
 
     def followed(

@@ -1,7 +1,7 @@
 """The observation: how well what was measured fits a pose, log p(sighting | particle)."""
 
 from localiser.observation.association import Association
-from localiser.observation.clutter import EarlierFrame, persistent_clutter, scene_clutter
+from localiser.observation.clutter import SEEN_AGAIN, EarlierFrame, persistent_clutter, scene_clutter
 from localiser.observation.edge_observation import EdgeObservation
 from localiser.observation.frame import SIGMA_PX as ENDPOINT_SIGMA_PX
 from localiser.observation.frame import Frame, at_border, end_per_height, marked_landmarks
