@@ -83,11 +83,6 @@ class Belief:
         return cls(0.7, 0.0, 0.05, 0.25, history=History(entered=np.array([0.05])))
 
     @classmethod
-    def unjudged(cls) -> Belief:
-        """Return the belief of a robot whose observation cannot tell whether it is elsewhere."""
-        return cls(0.99, 0.0, 0.01, 0.0)
-
-    @classmethod
     def anywhere(cls) -> Belief:
         """Return the belief of a robot of which nothing is known."""
         return cls(0.0, 0.0, 0.5, 0.5, is_known=False, history=History(entered=np.array([0.5])))

@@ -151,7 +151,8 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
                 cloud = mcl.motion.at_start(cloud, rng)
             state.begin_at(event.t_ns)
             state.particles, state.weighed = cloud, False
-            state.belief = Belief.unjudged() if mcl.search is None else Belief.stated()
+            # An observation of one's own cannot tell whether the robot is elsewhere.
+            state.belief = Belief(0.99, 0.0, 0.01, 0.0) if mcl.search is None else Belief.stated()
         case Anywhere():
             state.begin_at(event.t_ns)
             state.particles, state.weighed, state.pace, state.belief = None, False, None, Belief.anywhere()
