@@ -4,8 +4,7 @@ The sum over particles, landmarks and edges is one of compiled loops (`likelihoo
 same particles, views, are answered by one call. Four things make it fast, and none of them changes the result by more
 than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be in view from a cell
 are looked at. An edge that no landmark comes near costs nothing. The loops run as vector instructions. No more
-particles are weighed at a time than the cache holds. A particle's result depends on that particle alone, whatever
-number of threads share the work.
+particles are weighed at a time than the cache holds.
 """
 
 from __future__ import annotations
@@ -85,18 +84,16 @@ class EdgeObservation:
         """Return log p(edges | particle, p_k) (V, K, N) for every detection rate, relative to all edges being clutter.
 
         The edges are a Poisson process, see `likelihood_kernel.log_products`: a pose that sees no landmark explains
-        them as well as clutter does. Clutter is that of the scene. visibility: (V, L) probability that a landmark in
-        view is not hidden, in V views, which take little more time than one. is_inlier_rate: for inlier
-        rates instead, as `by_rate` has it; clutter is then that of the last image.
+        them as well as clutter does, which is that of the scene. visibility: (V, L) probability that a landmark in view
+        is not hidden. is_inlier_rate: for inlier rates instead; clutter is then that of the last image.
         """
         frame, count = self.frame(sighting.edges), particles.columns.shape[1]
         if not len(frame.edges.bearing):
             return np.zeros((len(visibility), len(INLIER_RATES), count))
         poses = np.zeros((count, 4))  # the last column: the yaw of the camera on its mount
         poses[:, :3] = particles.columns[:3].T
-        if CAMERA_YAW in particles.names:
-            poses[:, 3] = particles[CAMERA_YAW]
-        by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map, blur_rad)
+        poses[:, 3] = particles[CAMERA_YAW] if CAMERA_YAW in particles.names else 0.0
+        by_angle, inputs = frame.table[1], kernel_inputs(frame, sighting.map_scale, landmark_map, blur_rad)
         odds = INLIER_RATES / (1.0 - INLIER_RATES) if is_inlier_rate else DETECTION_RATES / len(by_angle)
         clutter = sighting.persistent if is_inlier_rate else sighting.scene
         rare = np.ones(len(by_angle)) if clutter is None else 1.0 / clutter[by_angle]
@@ -113,14 +110,13 @@ class EdgeObservation:
             low, extent = heading.min(), max(float(np.ptp(heading)), _SMALLEST)
             by_heading = np.argsort(((heading - low) * (65535.0 / extent)).astype(np.uint16), kind="stable")
             cells = in_cells(some, by_heading, frame, landmark_map, inputs)
-            result[..., part] = kernel.log_products(some, *cells, visibility, odds, is_inlier_rate, rare, inputs)
+            result[..., part] = kernel.log_products(some, cells, visibility, odds, is_inlier_rate, rare, inputs)
 
         threads = self.parameters.threads
         size = min(max(-(-count // threads), _PER_THREAD), _PART)
         parts = [slice(begin, begin + size) for begin in range(0, count, size)]
         if min(threads, len(parts)) == 1:
-            for part in parts:
-                weigh(part)
+            list(map(weigh, parts))
         else:
             with ThreadPoolExecutor(min(threads, len(parts))) as pool:
                 list(pool.map(weigh, parts))
@@ -128,14 +124,12 @@ class EdgeObservation:
 
     def warm_up(self) -> None:
         """Compile what compares edges, or load it from the disk, so that no frame has to wait for it."""
-        angle = np.zeros(1)
-        sighting = Sighting(0, Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01))
-        one = Particles(POSE, np.zeros((3, 1)), angle)
-        landmark_map = LandmarkMap.from_points(np.array([[0.0, -3.0]]))
-        self.by_rate(one, sighting, landmark_map)
-        self.associate(angle.repeat(3), sighting, landmark_map)
+        origin, landmark_map = np.zeros(3), LandmarkMap.from_points(np.array([[0.0, -3.0]]))
+        sighting = Sighting(0, Edges.from_bearings([0.0], 0.01))
+        self.by_rate(Particles(POSE, origin[:, None], np.zeros(1)), sighting, landmark_map)
+        self.associate(origin, sighting, landmark_map)
         frame = self.frame(sighting.edges)
-        scene_clutter(frame, [EarlierFrame(frame, np.zeros(3), 0.0)])
+        scene_clutter(frame, [EarlierFrame(frame, origin, 0.0)])
 
     # -- association ------------------------------------------------------------------------------------------------
 
@@ -146,11 +140,11 @@ class EdgeObservation:
         from localiser.observation import likelihood_kernel as kernel
 
         frame, cov = self.frame(sighting.edges), np.zeros((3, 3)) if cov is None else cov
-        by_angle, inputs = kernel_inputs(frame, sighting.map_scale, landmark_map)
+        inputs = kernel_inputs(frame, sighting.map_scale, landmark_map)
         *_, near = in_cells(np.append(pose, 0.0)[None], np.arange(1), frame, landmark_map, inputs)
         seen, pairs = kernel.associate(pose, cov, near, inputs)
         landmark, (pair, row) = seen[:, 0].astype(np.int64), pairs[:, :2].astype(np.int64).T
-        pair_columns = pair, by_angle[row], *pairs[:, 2:].T
+        pair_columns = pair, frame.table[1][row], *pairs[:, 2:].T
         return Association(frame, sighting, landmark_map, landmark, *seen[:, 1:].T, *pair_columns)
 
     def scales(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> tuple[float, float]:
@@ -173,10 +167,8 @@ def _frame(observation: EdgeObservation, edges: Edges) -> Frame:
 
 
 @lru_cache(INPUTS)
-def kernel_inputs(
-    frame: Frame, map_scale: float, landmark_map: LandmarkMap, blur_rad: float = 0.0
-) -> tuple[Indices, tuple[Any, ...]]:
-    """Return which edge (E,) is in each row, and how `likelihood_kernel` takes the camera, landmarks and edges.
+def kernel_inputs(frame: Frame, map_scale: float, landmark_map: LandmarkMap, blur_rad: float = 0.0) -> tuple[Any, ...]:
+    """Return how `likelihood_kernel` takes the camera, landmarks and edges.
 
     Landmarks are rows (L, 6): x, z, heights (m), sigma (m) and polarity as the map has them. Edges are rows as in
     `Frame.table`, -1 for an edge of any landmark. Before them, the camera on the robot and the map's scale; then the
@@ -191,20 +183,14 @@ def kernel_inputs(
 
     mount, sigma_m = frame.camera.mount, frame.parameters.landmark_sigma_m
     rows, by_angle, (first, bins), largest_var = frame.table
-    rows, blur_var = rows.copy(), blur_rad**2
-    rows[:, 1] += blur_var
+    rows = rows.copy()
+    rows[:, 1] += blur_rad**2
     if frame.parameters.association == "unknown":
         rows[:, -1] = marked_landmarks(frame.edges, landmark_map)[by_angle]
-    return by_angle, (
-        (mount.right_m, mount.back_m, mount.yaw_rad),
-        map_scale,
-        kept_with(landmark_map, ("table", sigma_m), table),
-        rows,
-        first,
-        (*frame.sight, bins, largest_var + blur_var, frame.parameters.kind == "slope"),
-        (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed),
-        frame.span_rad,
-    )
+    offset, landmarks = (mount.right_m, mount.back_m, mount.yaw_rad), kept_with(landmark_map, ("table", sigma_m), table)
+    seen_in = (*frame.sight, bins, largest_var + blur_rad**2, frame.parameters.kind == "slope")
+    ends = (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed)
+    return offset, map_scale, landmarks, rows, first, seen_in, ends, frame.span_rad
 
 
 def in_cells(

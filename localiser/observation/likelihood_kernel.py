@@ -267,16 +267,7 @@ def _logarithm(value: Array, bits: Indices, mantissa: Array, mantissa_bits: Indi
 
 @entry
 def log_products(
-    poses: Array,
-    order: Indices,
-    run: Indices,
-    start: Indices,
-    item: NDArray[np.int32],
-    visibility: Array,
-    odds: Array,
-    is_inlier_rate: bool,
-    rare: Array,
-    inputs: Any,
+    poses: Array, cells: Any, visibility: Array, odds: Array, is_inlier_rate: bool, rare: Array, inputs: Any
 ) -> Array:
     """Return the log-likelihood (V, RATES, N) in V views of every pose (N, 4), relative to clutter.
 
@@ -289,9 +280,10 @@ def log_products(
     where a landmark counts for the probability with which it is visible, in d_e and in n, and no wall before it. An
     edge of known identity belongs to that landmark or is clutter: n is 1 for it at inlier rates.
 
-    inputs: the image and the map, see `edge_observation.kernel_inputs`. visibility: (V, L) this probability. odds:
-    (RATES,) o_k of ascending rates. rare: (E,) 1 / clutter_e.
+    cells: of `edge_observation.in_cells`. visibility: (V, L) this probability. odds: (RATES,) o_k of ascending rates.
+    rare: (E,) 1 / clutter_e. inputs: the image and the map, see `edge_observation.kernel_inputs`.
     """
+    order, run, start, item = cells
     offset, map_scale, landmarks, edges, first, seen_in, ends, span = inputs
     block = np.ones((_SEEN + len(visibility), BLOCK))
     density, is_near = np.zeros((len(visibility), len(edges), BLOCK)), np.zeros(len(edges), np.bool_)
