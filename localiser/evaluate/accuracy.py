@@ -191,8 +191,6 @@ def residual_sums(matches: Matches) -> Array:
     nan where sigmas are not known, or nothing is matched.
     """
     residual, sigma, gate = matches.residual, matches.sigma, matches.gate
-    if sigma is None or gate is None:
-        return np.full(3, np.nan)
     known = np.isfinite(residual) & (sigma > 0) & (gate > 0)
     if not known.any():
         return np.full(3, np.nan)

@@ -1,8 +1,6 @@
 """The association: which landmark each edge of an image shows, seen from one pose, and all that follows from it.
 
-Every pair of an edge and a landmark that are near each other is a row of one table, by the model of
-docs/observation.md. The optimal proposal takes the rows that are certain, the display the likeliest row of each edge.
-How far the map errs and how high the camera sits are told by the same rows.
+Every pair of an edge and a landmark that are near each other is a row of one table (docs/observation.md).
 """
 
 from __future__ import annotations
@@ -51,20 +49,17 @@ class Association:
 
     def matches(self) -> Matches:
         """Return the most likely landmark of every edge, whether or not an earlier image showed it too."""
-        count = len(self.frame.edges.bearing)
-        landmark = np.full(count, -1)
-        residual, sigma, gate = np.full((3, count), np.nan)
-        visible = np.zeros(len(self.landmark_map), dtype=bool)
-        visible[self.landmark[self.in_the_open >= _SHOWN]] = True
+        found = Matches.none(len(self.frame.edges), len(self.landmark_map))
+        found.visible[self.landmark[self.in_the_open >= _SHOWN]] = True
         # Ascending, so that the last write to an edge is its best landmark.
         likelier = np.flatnonzero(self.odds > 1.0)
         best = likelier[np.argsort(self.odds[likelier], kind="stable")]
-        pair, edge = self.pair[best], self.edge[best]
+        pair, edge, residual = self.pair[best], self.edge[best], self.residual[best]
         variance = self.map_var[pair] + self.frame.measured[1][edge]
-        landmark[edge], residual[edge], sigma[edge] = self.landmark[pair], self.residual[best], np.sqrt(variance)
+        found.landmark[edge], found.residual[edge], found.sigma[edge] = self.landmark[pair], residual, np.sqrt(variance)
         # The odds fall as exp(-z²/2), and were 1 at the gate.
-        gate[edge] = np.sqrt(self.residual[best] ** 2 / variance + 2 * np.log(self.odds[best]))
-        return Matches(landmark, residual, visible, sigma, gate)
+        found.gate[edge] = np.sqrt(residual**2 / variance + 2 * np.log(self.odds[best]))
+        return found
 
     def targets(self, inlier_rate: float) -> Targets:
         """Return the edges with a certain landmark.
@@ -79,12 +74,8 @@ class Association:
         measured, measured_var = self.frame.measured
         certain = np.flatnonzero(own >= SETTLED * (1 - inlier_rate + total[self.edge]))
         pair, edge = self.pair[certain], self.edge[certain]
-        return Targets(
-            points=self.landmark_map.points[self.landmark[pair]],
-            angle=measured[edge],
-            variance=measured_var[edge] + self.map_var[pair],
-            is_slope=self.frame.parameters.kind == "slope",
-        )
+        points, variance = self.landmark_map.points[self.landmark[pair]], measured_var[edge] + self.map_var[pair]
+        return Targets(points, measured[edge], variance, self.frame.parameters.kind == "slope")
 
     def clutter(self, inlier_rate: float) -> Array:
         """Return the probability (E,) that an edge is of nothing on the map: 1 - Σ_k β_ek of `targets`."""
@@ -95,7 +86,7 @@ class Association:
         """Return the weight of each pair (P,) beside 1 - inlier_rate for clutter, and the sum for each edge (E,)."""
         clutter = self.sighting.persistent
         own = inlier_rate * self.all_odds / (1.0 if clutter is None else clutter[self.edge])
-        return own, np.asarray(np.bincount(self.edge, own, len(self.frame.measured[0])), dtype=np.float64)
+        return own, np.asarray(np.bincount(self.edge, own, len(self.frame.edges)), dtype=np.float64)
 
     def by_map_scale(self, scales: Array) -> Array:
         """Return log p(edges | scale) (K,) for scales (K,) of the map's sigmas.
@@ -120,8 +111,7 @@ class Association:
         pair, edge = np.nonzero((np.abs(apart) < window[:, None]) & np.isfinite(measured_var))
         count = np.bincount(pair)
         first = (np.cumsum(count) - count)[count > 0]  # of each landmark, whose edges follow each other
-        stated_var = self.map_var[pair] / self.sighting.map_scale**2
-        variance = stated_var * scales[:, None] ** 2 + measured_var[edge]
+        variance = self.map_var[pair] / self.sighting.map_scale**2 * scales[:, None] ** 2 + measured_var[edge]
         inside = erf(window[pair] / np.sqrt(2.0 * variance)) * np.sqrt(2 * np.pi * variance)
         density = np.exp(-0.5 * apart[pair, edge] ** 2 / variance) / inside
         ratio = np.add.reduceat(2.0 * window[pair] / count[pair] * density, first, axis=1)

@@ -44,10 +44,9 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
-    """Edges (K) with a certain landmark.
+    """Edges (K) with a certain landmark: its point (K, 2), measured angle (K,) (rad), variance (K,) (rad²).
 
-    points: (K, 2) of the landmarks. angle: (K,) measured, rad. variance: (K,) rad². is_slope: whether angles are leans,
-    not bearings.
+    is_slope: whether angles are leans, not bearings.
     """
 
     points: Array
@@ -62,15 +61,14 @@ class Matches:
 
     landmark: (E,) index into the map, -1 for clutter. residual: (E,) measured minus predicted, rad, nan for clutter.
     visible: (L,) whether the landmark is inside the field of view. sigma: (E,) of the residual, rad, the pose taken as
-    exact. gate: (E,) from how many sigmas on the edge would have counted as clutter. Both are nan for clutter, and None
-    where the observation does not tell.
+    exact. gate: (E,) from how many sigmas on the edge would have counted as clutter. Both are nan for clutter.
     """
 
     landmark: NDArray[np.int64]
     residual: Array
     visible: NDArray[np.bool_]
-    sigma: Array | None = None
-    gate: Array | None = None
+    sigma: Array
+    gate: Array
 
     @classmethod
     def none(cls, edges: int, landmarks: int) -> Matches:
@@ -85,7 +83,6 @@ class Observation(Protocol):
 
     def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
         """Return log p(sighting | particle) (N,), up to a constant that all particles share."""
-        ...
 
 
 def own_log_likelihood(
@@ -139,9 +136,8 @@ class ObservationParameters:
 def novelty_of(increment: Increment, parameters: ObservationParameters, longer: float = 1.0) -> float:
     """Return the share of a frame's log-likelihood that is new after moving by `increment`, 0 … 1.
 
-    Errors of an edge are taken as a first-order Markov process over the path. After x decorrelation lengths they agree
-    by ρ = exp(-x). A chain of such images tells as much about a constant as if each counted
-    (1 - ρ) / (1 + ρ) = tanh(x / 2). So a robot that stands still learns nothing from seeing the same image again.
+    Errors of an edge are taken as a first-order Markov process. After x decorrelation lengths they agree by
+    ρ = exp(-x), and such images tell as much about a constant as if each counted (1 - ρ) / (1 + ρ) = tanh(x / 2).
     longer: by how much errors repeat longer than that.
     """
     if parameters.decorrelation_m == 0 or parameters.decorrelation_deg == 0:

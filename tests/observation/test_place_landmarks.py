@@ -27,7 +27,7 @@ SEEN = ([9.0, 0.0], [0.0, 9.0])  # scenes that matched a landmark, and that did 
 
 def matches(landmark: list[int], visible: list[bool], edges: int = FEWEST_EDGES) -> Matches:
     found = np.array([*landmark, *[-1] * (edges - len(landmark))], dtype=np.int64)
-    return Matches(found, np.zeros(len(found)), np.array(visible))
+    return replace(Matches.none(len(found), len(visible)), landmark=found, visible=np.array(visible))
 
 
 def at(range_m: float, bearing_deg: float) -> list[float]:

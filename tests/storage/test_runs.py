@@ -48,8 +48,7 @@ def located(t_ns: int, names: tuple[str, ...] = ("x", "z", "heading")) -> Locate
 
 
 def frame(result: Located, truth: Array | None = None) -> LocatedFrame:
-    nothing = Matches(np.full(len(result.edges), -1), np.full(len(result.edges), np.nan), np.zeros(0, dtype=bool))
-    return LocatedFrame(result, nothing, None, truth, {})
+    return LocatedFrame(result, Matches.none(len(result.edges), 0), None, truth, {})
 
 
 def test_runs_are_numbered_and_latest_points_to_the_last(tmp_path: Path) -> None:

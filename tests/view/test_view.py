@@ -61,7 +61,8 @@ def strict() -> Iterator[None]:
 def shown(located: Located, image: Image | None, truth: Array | None, stage_ms: dict[str, float]) -> LocatedFrame:
     """Edges show landmarks 0 and 1, the third is clutter; landmark 2 is expected and not found, 3 lies behind."""
     landmark = np.array([0, 1, -1])[: len(located.edges)]
-    matches = Matches(landmark, np.full(len(landmark), np.nan), np.array([True, True, True, False]))
+    visible = np.array([True, True, True, False])
+    matches = replace(Matches.none(len(landmark), len(visible)), landmark=landmark, visible=visible)
     return LocatedFrame(located, matches, image, truth, stage_ms)
 
 
