@@ -1,16 +1,12 @@
 """Clutter: what is on no map is expected where earlier images showed it, and beside its like (docs/observation.md).
 
-**Persistent clutter**, which particles of one place are weighed by, is expected where the last image showed it, by the
-probability that the edge was clutter there, over all poses which the particles then had. At the mean pose alone, an
-edge of a landmark that misses it by an error of the pose would be taken for clutter, and could not correct the pose.
+Particles of one place are weighed by **persistent clutter**: what was clutter in the last image, over all poses which
+they then had. At the mean pose alone, an edge of a landmark that misses it by an error of the pose would be taken for
+clutter, and could not correct the pose.
 
-**Scene clutter**, which the belief compares all places by, is a Poisson process with the intensity
-
-    λ(e) = s Σ_j K(e; j) + m Λ(e)
-
-K: edge j where it is expected now. s: `SEEN_AGAIN`. Λ: `grouped_density`. m: expected number of new edges, at least 1.
-In an image of one or two edges this alone would expect nearly one more than there are, and every place would lose by
-it. So λ is scaled to the integral that it has without this least m.
+The belief compares all places by **scene clutter**, of which at least one new edge is expected. In an image of one or
+two edges this alone would expect nearly one more than there are, and every place would lose by it. So the intensity is
+scaled to the integral that it has without this least number.
 """
 
 from __future__ import annotations
@@ -121,20 +117,18 @@ def grouped_density(now: Frame) -> Array:
     """Return Λ (E,), relative to an even density."""
     others, edges = now.clutter.copy(), now.clutter.copy()
     others[:, _VAR], edges[:, _VAR] = 0.0, np.fmax(edges[:, _VAR], 0.0)  # 0 where it is not known
-    mount, end_var = now.camera.mount, (ROW_PX / now.camera.focal_px) ** 2 if now.has_ends else np.inf
-    attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), 0.0])
-    density, _ = compiled(continued_loop)(edges, others, np.zeros(3), float(GROUP_RAD**2), attitude, end_var)
+    mount, end_var = (*now.sight[0][:2], 0.0), (ROW_PX / now.camera.focal_px) ** 2 if now.has_ends else np.inf
+    density, _ = compiled(continued_loop)(edges, others, np.zeros(3), float(GROUP_RAD**2), mount, end_var)
     np.fill_diagonal(density, 0.0)
     return np.asarray((1.0 + density.sum(axis=1)) / len(edges))
 
 
 def continued_density(now: Frame, image: EarlierFrame) -> tuple[Array, Array]:
     """Return K (E, B), relative to an even density, and the bearings (B,) after half of the largest parallax."""
-    mount, then = now.camera.mount, image.frame
-    rise = (then.camera.mount.height_m - mount.height_m) / NEAREST_M
-    attitude = np.array([np.sin(mount.tilt_rad), np.cos(mount.tilt_rad), rise])
+    then = image.frame
+    mount = (*now.sight[0][:2], (then.camera.mount.height_m - now.camera.mount.height_m) / NEAREST_M)
     end_var = (SIGMA_PX / now.camera.focal_px) ** 2 if now.has_ends and then.has_ends else np.inf
-    return compiled(continued_loop)(now.clutter, then.clutter, image.motion, image.turn_var, attitude, end_var)
+    return compiled(continued_loop)(now.clutter, then.clutter, image.motion, image.turn_var, mount, end_var)
 
 
 # -- the loop, for numba to compile -----------------------------------------------------------------------------------
@@ -144,11 +138,11 @@ _BEARING, _VAR, _COS, _SIN, _SPAN, _E, _SLOPE, _ROOM, _CUT, _PER_LENGTH = 0, 1, 
 
 
 def continued_loop(
-    now: Array, then: Array, motion: Array, turn_var: float, mount: Array, end_var: float
+    now: Array, then: Array, motion: Array, turn_var: float, mount: tuple[float, ...], end_var: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what `continued_density` does of edges (E, 14) and earlier ones (B, 14), see `Frame.clutter`.
 
-    motion: (3,) of the camera since, in its own frame then; turn_var: variance of its turn. mount: (3,) sine and cosine
+    motion: (3,) of the camera since, in its own frame then; turn_var: variance of its turn. mount: sine and cosine
     of the camera's tilt now, and by how much it was higher before, over `NEAREST_M`. end_var: variance of an end's
     height; infinite where nothing is known of ends. A density is 0 where something is not known.
 
@@ -158,7 +152,7 @@ def continued_loop(
     """
     result, bearing = np.zeros((len(now), len(then))), np.empty(len(then))
     right, back, turn = motion[0], motion[1], motion[2]
-    s, c, rise = mount[0], mount[1], mount[2]
+    s, c, rise = mount
     for j in range(len(then)):
         across = (right * then[j, _COS] + back * then[j, _SIN]) / NEAREST_M
         approach = (right * then[j, _SIN] - back * then[j, _COS]) / NEAREST_M

@@ -1,8 +1,7 @@
 """The frame: the edges of one image as they are compared with landmarks and with other edges, worked out once.
 
 Edges are compared by an angle. `line` compares bearings; `slope` compares leans, as the founding paper does, whose
-tangent is that of the bearing times the sine of the tilt [Taylor06, eq. 7]. Leans are never divided by that sine, so
-nothing is infinite straight ahead. They are compared by their ends too (docs/observation.md).
+tangent is that of the bearing times the sine of the tilt [Taylor06, eq. 7], and by their ends (docs/observation.md).
 """
 
 from __future__ import annotations
@@ -107,8 +106,7 @@ class Frame:
     @cached_property
     def span_rad(self) -> float:
         """The angle that clutter is spread over."""
-        a_left, a_right, _, _ = self.camera.upright_bounds
-        predicted, _ = self.predicted(np.array([a_left, a_right]) / np.cos(self.camera.mount.tilt_rad))
+        predicted, _ = self.predicted(np.array(self.camera.upright_bounds[:2]) / np.cos(self.camera.mount.tilt_rad))
         return float(abs(predicted[1] - predicted[0]))
 
     # -- ends ---------------------------------------------------------------------------------------------------------
@@ -131,9 +129,8 @@ class Frame:
         """Where the edges end, and how densely clutter does there: (1 / height + Σ_j N(e; e_j, row²)) / E."""
         count, camera, known_sigma = len(self.edges.bearing), self.camera, SIGMA_PX / self.camera.focal_px
         if not self.has_ends:  # measured by something that tells no ends
-            e = np.tile([-UNKNOWN, UNKNOWN], (count, 1))
-            sigma, room, peak = np.full((count, 2), known_sigma), np.full((count, 2), UNKNOWN), np.zeros((count, 2))
-            return Endpoints(e, sigma, np.full(count, UNKNOWN), room, peak, 1.0)
+            e, unknown = np.tile([-UNKNOWN, UNKNOWN], (count, 1)), np.full((count, 2), UNKNOWN)
+            return Endpoints(e, np.full((count, 2), known_sigma), unknown[:, 0], unknown, np.zeros((count, 2)), 1.0)
         e, cut = self.end_heights
         _, _, e_low, e_high = camera.upright_bounds
         row = ROW_PX / camera.focal_px
@@ -176,8 +173,7 @@ class Frame:
         bounds: list[float] = (np.array(camera.upright_bounds) + margin).tolist()
         tilt_rad, shortest = camera.mount.tilt_rad, max(sight.length_min_px, 1e-9) / camera.focal_px
         image = (float(np.sin(tilt_rad)), float(np.cos(tilt_rad)), *bounds, shortest, camera.mount.height_m)
-        ranges = sight.range_min_m**2, sight.farthest_m**2, sight.range_max_m**2
-        return image, (*ranges, float(widest_tangent(camera, sight)))
+        return image, (sight.range_min_m**2, sight.farthest_m**2, sight.range_max_m**2, widest_tangent(camera, sight))
 
     @cached_property
     def clutter(self) -> Array:
@@ -214,20 +210,18 @@ def bins_of(angle: Array) -> EdgeBins:
 def marked_landmarks(edges: Edges, landmark_map: LandmarkMap) -> Indices:
     """Return the landmark (E,) that each edge is by the marker whose side it is; -1 for others.
 
-    A side that the map has twice tells none of them.
+    A side that the map has twice tells none of them. Raises InputError where the map names a side that is none.
     """
+
+    def of_sides() -> dict[int, int]:
+        codes = [(k, code_of(one["identity"])[0]) for k, one in enumerate(landmark_map.extra) if "identity" in one]
+        count = Counter(code for _, code in codes)
+        return {code: k for k, code in codes if count[code] == 1}
+
     if not (edges.landmark_id < -1).any():
         return np.full(len(edges.landmark_id), -1)
-    of = kept_with(landmark_map, ("markers",), lambda: sides_on(landmark_map))
-    return np.array([of.get(code, -1) for code in edges.landmark_id.tolist()], dtype=np.int64)
-
-
-def sides_on(landmark_map: LandmarkMap) -> dict[int, int]:
-    """Return the landmark of each marker's side that the map has once. Raises InputError for a name that is none."""
-    names = [(k, one["identity"]) for k, one in enumerate(landmark_map.extra) if "identity" in one]
-    codes = [(k, code_of(name)[0]) for k, name in names]
-    count = Counter(code for _, code in codes)
-    return {code: k for k, code in codes if count[code] == 1}
+    landmark_of = kept_with(landmark_map, ("markers",), of_sides)
+    return np.array([landmark_of.get(code, -1) for code in edges.landmark_id.tolist()], dtype=np.int64)
 
 
 def end_per_height(e: Array, camera: Camera) -> Array:
