@@ -2,8 +2,7 @@
 
 Empty corridors and full bookshelves differ in it, so every image has its own. How often each rate occurs is learnt as
 the proportions of a mixture with a Dirichlet prior. So is the detection rate, by which the belief compares places: how
-many edges a landmark in view shows on average. A door jamb can show as two or three edges, yet the largest rate is 1.3:
-a place that explains the edges only if every landmark shows many of them explains nothing.
+many edges a landmark in view shows on average (docs/observation.md).
 """
 
 from __future__ import annotations

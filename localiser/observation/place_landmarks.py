@@ -1,9 +1,8 @@
 """The landmarks of the tracked place: which are hidden, and whether those beside the robot are there (docs/belief.md).
 
-The map has no walls, so it cannot tell which landmarks are hidden. But an edge matches a landmark in a part of the
-scenes that have it in view, and for landmarks near the robot this part was measured. None is tested behind a matched
-one within 30° that is nearer by 0.15 m: that one may be on a wall. On a map of the building a place that is tracked is
-hardly ever wrong, so odds against one still count when another one is tracked in its stead, and fade as scenes do.
+No landmark is tested behind a matched one within 30° that is nearer by 0.15 m: that one may be on a wall. On a map of
+the building a place that is tracked is hardly ever wrong, so odds against one still count when another one is tracked
+in its stead, and fade as scenes do.
 """
 
 from __future__ import annotations
@@ -86,8 +85,7 @@ class PlaceLandmarks:
             scenes[in_view, 0, 1 - np.isin(in_view, matches.landmark)] += novelty
             scenes[near, 1, 1 - is_matched] += novelty
         landmark = np.flatnonzero(scenes.sum(axis=(1, 2)) > _FORGOTTEN)
-        seen, near_seen = scenes[landmark, 0], scenes[landmark, 1]
-        return PlaceLandmarks(landmark, seen, near_seen, near_kept * self.before, self.maps)
+        return PlaceLandmarks(landmark, scenes[landmark, 0], scenes[landmark, 1], near_kept * self.before, self.maps)
 
 
 def near_landmarks(matches: Matches, points: Array, pose: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
