@@ -97,8 +97,7 @@ class Association:
             p(q_1 … q_n | scale) ∝ 1 - π + π/n Σ_e 2 w N(q_e; q_l(pose), σ_e² + scale² σ_l²) / P(window),
 
         where w is half of the window, P(window) the part of the normal that lies inside, and π, how often an edge is
-        the landmark's, is integrated out. So neither an edge that is on no map nor a landmark that stands among others
-        says that the map is poor.
+        the landmark's, is integrated out. So an edge that is on no map does not say that the map is poor.
         """
         from scipy.special import erf
 

@@ -1,10 +1,9 @@
 """The observation of vertical edges: log p(edges | particle) with unknown association (docs/observation.md).
 
-The sum over particles, landmarks and edges is one of compiled loops (`likelihood_kernel`). Several questions about the
-same particles, views, are answered by one call. Four things make it fast, and none of them changes the result by more
-than 1e-5. Particles are sorted into cells of floor and heading, and only the landmarks that can be in view from a cell
-are looked at. An edge that no landmark comes near costs nothing. The loops run as vector instructions. No more
-particles are weighed at a time than the cache holds.
+The sum over particles, landmarks and edges is one of compiled loops (`likelihood_kernel`). Four things make it fast;
+none of them changes the result by more than 1e-5. Particles are sorted into cells of floor and heading, and only the
+landmarks that can be in view from a cell are looked at. An edge that no landmark comes near costs nothing. Loops run as
+vector instructions. No more particles are weighed at a time than the cache holds.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from localiser.geometry.compiled import entry
 from localiser.landmarks import LandmarkMap, in_view_of_cells_loop, kept_with, reach_of
 from localiser.observation.association import Association
 from localiser.observation.clutter import EarlierFrame, scene_clutter
-from localiser.observation.frame import TOLERANCE_PX, UNKNOWN, Frame, marked_landmarks
+from localiser.observation.frame import MISSED, TOLERANCE_PX, UNKNOWN, Frame, marked_landmarks
 from localiser.observation.inlier_rate import DETECTION_RATES, INLIER_RATES, InlierRate
 from localiser.observation.sighting import ObservationParameters, Sighting
 from localiser.particles import CAMERA_YAW, POSE, Particles
@@ -100,7 +99,6 @@ class EdgeObservation:
         result = np.empty((len(visibility), len(odds), count))
 
         def weigh(part: slice) -> None:
-            """Weigh so few particles that all about them stays in the cache."""
             from localiser.observation import likelihood_kernel as kernel
 
             some = poses[part]
@@ -172,8 +170,7 @@ def kernel_inputs(frame: Frame, map_scale: float, landmark_map: LandmarkMap, blu
 
     Landmarks are rows (L, 6): x, z, heights (m), sigma (m) and polarity as the map has them. Edges are rows as in
     `Frame.table`, -1 for an edge of any landmark. Before them, the camera on the robot and the map's scale; then the
-    first edge of each bin, how landmarks are seen, how ends are compared, and the span of clutter. blur_rad: sigma that
-    is added to every edge's own.
+    first edge of each bin, how landmarks are seen, how ends are compared, the span of clutter. blur_rad: see `by_rate`.
     """
 
     def table() -> Array:
@@ -189,7 +186,7 @@ def kernel_inputs(frame: Frame, map_scale: float, landmark_map: LandmarkMap, blu
         rows[:, -1] = marked_landmarks(frame.edges, landmark_map)[by_angle]
     offset, landmarks = (mount.right_m, mount.back_m, mount.yaw_rad), kept_with(landmark_map, ("table", sigma_m), table)
     seen_in = (*frame.sight, bins, largest_var + blur_rad**2, frame.parameters.kind == "slope")
-    ends = (TOLERANCE_PX / frame.camera.focal_px, frame.ends.missed)
+    ends = (TOLERANCE_PX / frame.camera.focal_px, MISSED if frame.has_ends else 1.0)
     return offset, map_scale, landmarks, rows, first, seen_in, ends, frame.span_rad
 
 
@@ -198,8 +195,7 @@ def in_cells(
 ) -> tuple[Indices, Indices, Indices, NDArray[np.int32]]:
     """Return order (N,) and run (cells + 1,) of poses (N, 4), see `in_cells_loop`, and what can be in view from cells.
 
-    These are landmarks: from cell c item[start[c] : start[c + 1]], of start (cells + 1,) and item. inputs: see
-    `kernel_inputs`.
+    From cell c that are landmarks item[start[c] : start[c + 1]], start (cells + 1,). inputs: of `kernel_inputs`.
     """
     run, order, low, per_unit, shape = entry(in_cells_loop)(poses, sequence)
     half_view_rad = float(np.arctan(frame.sight[1][3]) + np.abs(poses[:, 3]).max())

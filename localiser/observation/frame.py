@@ -41,8 +41,7 @@ class Endpoints:
 
     e: upright heights in the image. sigma: of an end that is its landmark's, in e. per_length: (E,) 1 / length in e,
     1e9 where unknown. room: the height over which clutter ends, were it everywhere as dense as here. peak: what an edge
-    that reaches where its landmark ends has there beside clutter. missed: how often an edge ends before its landmark
-    does; 1 where nothing is known of ends.
+    that reaches where its landmark ends has there beside clutter.
     """
 
     e: Array
@@ -50,7 +49,6 @@ class Endpoints:
     per_length: Array
     room: Array
     peak: Array
-    missed: float
 
     @property
     def cut(self) -> NDArray[np.bool_]:
@@ -130,7 +128,7 @@ class Frame:
         count, camera, known_sigma = len(self.edges.bearing), self.camera, SIGMA_PX / self.camera.focal_px
         if not self.has_ends:  # measured by something that tells no ends
             e, unknown = np.tile([-UNKNOWN, UNKNOWN], (count, 1)), np.full((count, 2), UNKNOWN)
-            return Endpoints(e, np.full((count, 2), known_sigma), unknown[:, 0], unknown, np.zeros((count, 2)), 1.0)
+            return Endpoints(e, np.full((count, 2), known_sigma), unknown[:, 0], unknown, np.zeros((count, 2)))
         e, cut = self.end_heights
         _, _, e_low, e_high = camera.upright_bounds
         row = ROW_PX / camera.focal_px
@@ -140,7 +138,7 @@ class Frame:
         peak = (1.0 - MISSED) * room / (np.sqrt(2 * np.pi) * sigma)
         per_length = 1.0 / np.maximum(e[:, 1] - e[:, 0], 1e-12)
         # The border ends an edge wherever its landmark does.
-        return Endpoints(e, sigma, per_length, np.where(cut, UNKNOWN, room), np.where(cut, 0.0, peak), MISSED)
+        return Endpoints(e, sigma, per_length, np.where(cut, UNKNOWN, room), np.where(cut, 0.0, peak))
 
     # -- as loops take them -------------------------------------------------------------------------------------------
 
@@ -153,10 +151,8 @@ class Frame:
         beside it and 1 / sigma, mean polarity, landmark that it is said to show, -1 for any. Then which edge a row is
         (E,), bins of the angles, see `bins_of`, and the largest known variance.
         """
-        edges, ends, known = self.edges, self.ends, self.is_known
-        identified = self.parameters.association == "known"
-        if identified:  # edges are of the landmark that they name, and tell nothing where they name none
-            known = known & (edges.landmark_id >= 0)
+        edges, ends, identified = self.edges, self.ends, self.parameters.association == "known"
+        known = self.is_known & (edges.landmark_id >= 0) if identified else self.is_known
         # Edges of which this observation knows nothing go to the end: no landmark comes near them.
         measured, variance = np.where(known, self.measured, [[np.inf], [1.0]])
         columns: list[NDArray[Any]] = [measured, variance, ends.e, ends.per_length, ends.room, ends.peak]

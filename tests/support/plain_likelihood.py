@@ -11,6 +11,7 @@ from localiser.edges import Edges
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, image_heights, sight
 from localiser.observation import INLIER_RATES, EdgeObservation, Sighting
+from localiser.observation.frame import MISSED
 from localiser.particles import CAMERA_YAW, Particles
 
 
@@ -54,6 +55,7 @@ def plain_pairs(
     frame, limits, pairs, is_open = observation.frame(sighting.edges), observation.parameters.sight, {}, {}
     ends, camera, edges, kind = frame.ends, frame.camera, sighting.edges, observation.parameters.kind
     tilt_rad, margin = camera.mount.tilt_rad, limits.margin_px / camera.focal_px
+    missed = MISSED if frame.has_ends else 1.0
     angles = [measured(kind, edges, e, tilt_rad) for e in range(len(edges))]
     lowest, highest = camera.upright_bounds[2] - margin, camera.upright_bounds[3] + margin
     seen = sight(camera, camera_pose[None], landmark_map, replace(limits, range_max_m=limits.farthest_m))
@@ -76,9 +78,9 @@ def plain_pairs(
             for side, height_m in enumerate((landmark_map.bottom_m[k], landmark_map.top_m[k])):
                 room, in_image = ends.room[e, side], lowest < at[side] < highest
                 if isfinite(height_m):
-                    short = (ends.missed if in_image else 1.0) * min(room / shown, 1.0)
+                    short = (missed if in_image else 1.0) * min(room / shown, 1.0)
                     reaches = in_image and not ends.cut[e, side]
-                    peak = (1 - ends.missed) * room * normal(ends.e[e, side] - at[side], ends.sigma[e, side] ** 2)
+                    peak = (1 - missed) * room * normal(ends.e[e, side] - at[side], ends.sigma[e, side] ** 2)
                     agreement *= short + (peak if reaches else 0.0)
             pairs[e, k] = residual, variance, agreement * normal(residual, variance)
     return pairs, is_open
