@@ -82,7 +82,7 @@ class PlaceLandmarks:
         if len(matches.landmark) >= FEWEST_EDGES:
             in_view = np.flatnonzero(matches.visible)
             near, is_matched = near_landmarks(matches, points, pose)
-            scenes[in_view, 0, 1 - np.isin(in_view, matches.landmark)] += novelty
+            scenes[in_view, 0, 1 - (in_view[:, None] == matches.landmark).any(axis=1)] += novelty
             scenes[near, 1, 1 - is_matched] += novelty
         landmark = np.flatnonzero(scenes.sum(axis=(1, 2)) > _FORGOTTEN)
         return PlaceLandmarks(landmark, scenes[landmark, 0], scenes[landmark, 1], near_kept * self.before, self.maps)
@@ -97,7 +97,7 @@ def near_landmarks(matches: Matches, points: Array, pose: Array) -> tuple[NDArra
     range_m = np.hypot(*(points[visible] - pose[:2]).T)
     near, range_m = visible[range_m < NEAR_M], range_m[range_m < NEAR_M]
     direction = np.arctan2(*(points[near] - pose[:2]).T)
-    is_matched = np.isin(near, matches.landmark)
+    is_matched = (near[:, None] == matches.landmark).any(axis=1)  # `np.isin` takes ten times as long for a few
     beside = np.abs(wrap_angle(direction[:, None] - direction[is_matched])) < BESIDE_RAD
     is_before = range_m[is_matched] < range_m[:, None] - BEFORE_M
     in_front = ~(beside & is_before).any(axis=1)
