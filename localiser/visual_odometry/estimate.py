@@ -47,53 +47,44 @@ def mixture(parts: Sequence[Gaussian], weight: Array) -> Gaussian:
     offset = np.array([part.mean - origin for part in parts])
     offset[:, 2] = wrap_angle(offset[:, 2])
     mean = weight @ offset
-    spread = offset - mean
-    within = np.einsum("k,kij->ij", weight, [part.cov for part in parts])
-    total = origin + mean
+    total, spread = origin + mean, offset - mean
     total[2] = wrap_angle(total[2])
+    within = np.einsum("k,kij->ij", weight, [part.cov for part in parts])
     return Gaussian(total, within + np.einsum("k,ki,kj->ij", weight, spread, spread))
 
 
-def _with_range(motion: Gaussian) -> Gaussian:
-    """Return a motion with the typical inverse range, which is not known, as a fourth dimension."""
-    cov = np.zeros((4, 4))
-    cov[:3, :3], cov[3, 3] = motion.cov, TYPICAL_SPREAD**2
-    return Gaussian(np.append(motion.mean, TYPICAL_INVERSE_RANGE), cov)
-
-
 def follow(images: TwoImages, priors: Sequence[tuple[Gaussian, float]]) -> Gaussian:
-    """Return the motion between two images.
+    """Return the motion between two images, by population Monte Carlo [Cappé et al. 2004].
 
-    priors: what may be believed of it, and the logarithm of how often that is right; the widest last.
+    priors: what may be believed of it, and the logarithm of how often that is right; the widest last. After 15 rounds
+    the result is wider than what edges tell.
     """
     if not len(images.pairs):
         return mixture([prior for prior, _ in priors], normalised(np.array([log_share for _, log_share in priors])))
-    found, log_means = zip(*(_sampled(images, priors, on_wall) for on_wall in (False, True)), strict=True)
-    whole = mixture(found, normalised(np.log([1.0 - _WALL_SHARE, _WALL_SHARE]) + np.array(log_means)))
-    return Gaussian(whole.mean[:3], whole.cov[:3, :3])
-
-
-def _sampled(images: TwoImages, priors: Sequence[tuple[Gaussian, float]], on_wall: bool) -> tuple[Gaussian, float]:
-    """Return motion and typical inverse range, and the logarithm of how well the images are explained, by samples.
-
-    This is population Monte Carlo [Cappé et al. 2004]. After 15 rounds the result is wider than what edges tell.
-    on_wall: as `pair_kernel` says.
-    """
     from localiser.visual_odometry import pair_kernel
 
-    known = [(_with_range(prior), log_share) for prior, log_share in priors]
-    motion, (first, second) = known[-1][0], images.mounts
-    for _ in range(_MOST_ROUNDS):
-        drawn = motion.mean + _DRAWS @ np.linalg.cholesky(motion.cov).T
-        moves = between(first[None], compose(drawn[:, :3], second))
-        log_fit = pair_kernel.log_likelihoods(images, moves, drawn[:, 3].copy(), on_wall)
-        log_prior = np.logaddexp.reduce([each.log_density(drawn) + log_share for each, log_share in known])
-        log_ratio = log_prior - motion.log_density(drawn) + log_fit
-        taken = largest_step(np.zeros(_COUNT), log_ratio, 1.0, _FEWEST)
-        found = Particles((*POSE, "range"), drawn.T.copy(), taken * log_ratio).estimate
-        mean = found.mean.copy()  # beside the last one, so that a turn near ±π is compared with its prior
-        mean[2] = motion.mean[2] + wrap_angle(mean[2] - motion.mean[2])
-        motion = Gaussian(mean, (1.0 if taken == 1.0 else _GROWN) * found.cov)
-        if taken == 1.0:
-            break
-    return motion, log_sum(log_ratio) - float(np.log(_COUNT))
+    known = []  # with the typical inverse range as a fourth dimension
+    for prior, log_share in priors:
+        cov = np.diag([0.0, 0.0, 0.0, TYPICAL_SPREAD**2])
+        cov[:3, :3] = prior.cov
+        known.append((Gaussian(np.append(prior.mean, TYPICAL_INVERSE_RANGE), cov), log_share))
+    (first, second), cases, log_means = images.mounts, [], []
+    for on_wall in (False, True):
+        motion = known[-1][0]
+        for _ in range(_MOST_ROUNDS):
+            drawn = motion.mean + _DRAWS @ np.linalg.cholesky(motion.cov).T
+            moves = between(first[None], compose(drawn[:, :3], second))
+            log_fit = pair_kernel.log_likelihoods(images, moves, drawn[:, 3].copy(), on_wall)
+            log_prior = np.logaddexp.reduce([each.log_density(drawn) + log_share for each, log_share in known])
+            log_ratio = log_prior - motion.log_density(drawn) + log_fit
+            taken = largest_step(np.zeros(_COUNT), log_ratio, 1.0, _FEWEST)
+            found = Particles((*POSE, "range"), drawn.T.copy(), taken * log_ratio).estimate
+            mean = found.mean.copy()  # beside the last one, so that a turn near ±π is compared with its prior
+            mean[2] = motion.mean[2] + wrap_angle(mean[2] - motion.mean[2])
+            motion = Gaussian(mean, (1.0 if taken == 1.0 else _GROWN) * found.cov)
+            if taken == 1.0:
+                break
+        cases.append(motion)
+        log_means.append(log_sum(log_ratio) - float(np.log(_COUNT)))
+    whole = mixture(cases, normalised(np.log([1.0 - _WALL_SHARE, _WALL_SHARE]) + np.array(log_means)))
+    return Gaussian(whole.mean[:3], whole.cov[:3, :3])
