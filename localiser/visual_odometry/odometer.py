@@ -82,8 +82,7 @@ class Odometer:
 
     def warm_up(self) -> None:
         """Compile what follows edges, or load it from the disk, so that no image has to wait for it."""
-        angle = np.zeros(1)
-        one = Edges.from_columns(angle, angle + 0.01, angle, angle + 0.01)
+        one = Edges.from_bearings([0.0], 0.01)
         self.motion(one, one, 1.0, None)
 
     def motion(
@@ -105,8 +104,7 @@ class Odometer:
         across = prior.cov @ of_arc
         bent = 0.25 * (prior.cov[1, 1] * prior.cov[2, 2] + prior.cov[1, 2] ** 2)
         gain = across / (of_arc @ across + bent + (self.parameters.sideways_m_s * seconds) ** 2)
-        sideways_m = right_m - 0.5 * turn * back_m
-        straight = Gaussian(prior.mean - gain * sideways_m, prior.cov - np.outer(gain, across))
+        straight = Gaussian(prior.mean - gain * (right_m - 0.5 * turn * back_m), prior.cov - np.outer(gain, across))
         motion = follow(images, [(straight, float(np.log1p(-share))), (prior, float(np.log(share)))])
         return motion, Gaussian(motion.mean / seconds, motion.cov / seconds**2)
 
@@ -128,5 +126,4 @@ def increment_of(motion: Gaussian) -> Increment:
     Its path is how far the robot may well have come: one of which nothing is known has not stood still.
     """
     path_m = np.sqrt(np.square(motion.mean[:2]).sum() + np.trace(motion.cov[:2, :2]))
-    turned_rad = np.sqrt(motion.mean[2] ** 2 + motion.cov[2, 2])
-    return Increment(motion.mean, motion.cov, float(path_m), float(turned_rad))
+    return Increment(motion.mean, motion.cov, float(path_m), float(np.sqrt(motion.mean[2] ** 2 + motion.cov[2, 2])))

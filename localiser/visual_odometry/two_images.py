@@ -86,15 +86,14 @@ class TwoImages(NamedTuple):
         if measured or TURN_RATE in before.common.names or before.common.names != after.common.names:
             for image in (one, two):  # what is wrong differs from one image to the other
                 image.variance[:, 0] += image.common[:, 0]
-        is_known = np.isfinite(before.bearing[:, None] + after.bearing)
-        is_alike = before.polarity[:, None].astype(int) * after.polarity >= 0
-        pairs = np.ascontiguousarray(np.argwhere(is_known & is_alike))
+        is_pair = np.isfinite(before.bearing[:, None] + after.bearing)
+        is_pair &= before.polarity[:, None].astype(int) * after.polarity >= 0
+        pairs = np.ascontiguousarray(np.argwhere(is_pair))
         new_density = (1.0 - FOLLOWED_SHARE) / FOLLOWED_SHARE * max(len(before), 1) / field_of_view_rad(camera)
-        look = how_alike(before.profile, after.profile)[pairs[:, 0], pairs[:, 1]] / new_density
+        look = how_alike(before.profile, after.profile)[is_pair] / new_density
         order = np.argsort(after.bearing)
-        group = np.empty(len(after), dtype=np.int64)
-        group[order] = np.cumsum(~(np.diff(after.bearing[order], prepend=-np.inf) <= APART_RAD)) - 1
-        weight = np.asarray(np.bincount(group)[group] ** -GROUP_POWER)
+        group = np.cumsum(~(np.diff(after.bearing[order], prepend=-np.inf) <= APART_RAD))
+        weight = np.asarray((np.bincount(group)[group] ** -GROUP_POWER)[np.argsort(order)])
         mounts = np.array([camera.at(edges.mount).robot_from_level for edges in (before, after)])
         return cls(one, two, pairs, look, weight, mounts)
 
