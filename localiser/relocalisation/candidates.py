@@ -80,10 +80,9 @@ class Candidates:
     def joined(self, others: Candidates, log_odds: float) -> Candidates:
         """Return both, in which the others as a whole have exp(log_odds) times the weight of these."""
         one, other = self.particles, others.particles
-        log_weight = one.log_weight - log_sum(one.log_weight)
-        log_others = other.log_weight - log_sum(other.log_weight) + log_odds
+        log_weight = [one.log_weight - log_sum(one.log_weight), other.log_weight - log_sum(other.log_weight) + log_odds]
         columns = np.concatenate([one.columns, other.columns], axis=1)
-        particles = replace(one, columns=columns, log_weight=np.concatenate([log_weight, log_others]))
+        particles = replace(one, columns=columns, log_weight=np.concatenate(log_weight))
         return Candidates(particles, np.concatenate([self.rates, others.rates], axis=1))
 
     def only(self, chosen: NDArray[np.bool_]) -> Candidates:
@@ -96,22 +95,20 @@ class Candidates:
         A cell of weight W gets particles in proportion to W^¼, and these share W. So the result is still weighted,
         and a place that fits a little worse than others is not lost by chance.
         """
-        weight, poses = self.particles.weight, self.particles.poses
-        cell = cells_of(poses)
+        weight, cell = self.particles.weight, cells_of(self.particles.poses)
         mass = np.bincount(cell, weight)
         followed = mass > LEAST_WEIGHT
         share = np.where(followed, mass, 0.0) ** EVENNESS
         each = np.maximum(mass, 1e-300)
         chance = weight * (share / share.sum() / each)[cell]
         index = systematic_resample(chance, min(PER_CELL * int(followed.sum()), most), rng)
-        drawn = np.bincount(cell[index], minlength=len(mass))
-        columns = self.particles.columns[:, index]
-        for row, column in enumerate(poses.T):
+        columns, there = self.particles.columns[:, index], cell[index]
+        for row, column in enumerate(self.particles.columns[:3]):
             off = column - (np.bincount(cell, weight * column) / each)[cell]
             sigma = np.sqrt(np.bincount(cell, weight * off**2) / each)
-            columns[row] += SPREAD * sigma[cell[index]] * rng.standard_normal(len(index))
+            columns[row] += SPREAD * sigma[there] * rng.standard_normal(len(index))
         columns[2] = wrap_angle(columns[2])
-        log_weight = np.log(mass[cell[index]] / drawn[cell[index]]) + log_sum(self.particles.log_weight)
+        log_weight = np.log(mass[there] / np.bincount(there)[there]) + log_sum(self.particles.log_weight)
         return Candidates(replace(self.particles, columns=columns, log_weight=log_weight), self.rates[:, index])
 
 
@@ -159,9 +156,8 @@ class History:
         """Return the history after a motion. novelty: of the scene of the image that follows it, 0 … 1."""
         if not self.images:
             return replace(self, new=1.0)
-        *earlier, last = self.images
-        images = (*earlier, replace(last, step=last.step.then(increment)))
-        return replace(self, images=images, new=self.new + novelty)
+        last = replace(self.images[-1], step=self.images[-1].step.then(increment))
+        return replace(self, images=(*self.images[:-1], last), new=self.new + novelty)
 
     def entering(self, probability: float, carried: float = 0.0) -> History:
         """Return the history of a robot that comes to where nobody has looked, with this probability.
@@ -177,11 +173,10 @@ class History:
         if self.new < 1.0:
             return self
         last = PastImage(sighting, self.new, Increment.from_mean(np.zeros(3)), self.limits)
-        images, entered = (*self.images, last), self.entered
+        images, entered = (*self.images, last), np.append(self.entered, 0.0)
         if len(images) > SCENES:
-            oldest, images, entered = entered[0], images[1:], entered[1:].copy()
-            entered[0] += self.overlooked * oldest
-        return History(images, np.append(entered, 0.0))
+            entered[1] += self.overlooked * entered[0]
+        return History(images[-SCENES:], entered[-SCENES - 1 :])
 
     def weighed(
         self,
@@ -196,24 +191,23 @@ class History:
         Their weights are the density of the region over that of the draws, divided by how many were drawn. evidence:
         see `GlobalLocalisation.evidence`.
         """
-        clouds = [proposed.particles]  # where they were, by odometry and its noise; now last
+        clouds = [replace(proposed.particles, log_weight=np.zeros(len(proposed)))]  # where they were; now last
         for image in reversed(self.images):
             steps = from_gaussian(image.step.mean, covariance_of(motion, image.step), len(proposed), rng).poses
             columns = clouds[0].columns.copy()
             columns[:3] = compose(columns[:3].T, between(steps, np.zeros_like(steps))).T
-            clouds.insert(0, replace(proposed.particles, columns=columns))
+            clouds.insert(0, replace(clouds[0], columns=columns))
         last = PastImage(sighting, self.new, Increment.from_mean(np.zeros(3)), self.limits)
         log_path, followed = np.full(len(proposed), -np.inf), proposed
         for cloud, entered, image in zip(clouds, self.entered, (*self.images, last), strict=True):
             log_entered = np.log(max(entered, 1e-300))
             log_path = np.logaddexp(log_path, log_entered)
             rates = followed.rates + np.exp(log_entered - log_path) * (proposed.rates - followed.rates)
-            there = Candidates(replace(cloud, log_weight=np.zeros(len(cloud))), rates)
             by_rate, needs_landmarks = evidence(cloud, image.sighting)
-            followed, _ = there.weighed(by_rate, image.novelty, needs_landmarks=needs_landmarks)
+            followed, _ = Candidates(cloud, rates).weighed(by_rate, image.novelty, needs_landmarks=needs_landmarks)
             log_path += np.minimum(followed.particles.log_weight - image.limits[0], image.limits[1])
-        log_weight = proposed.particles.log_weight + log_path
-        return Candidates(replace(proposed.particles, log_weight=log_weight), followed.rates)
+        log_path += proposed.particles.log_weight
+        return Candidates(replace(proposed.particles, log_weight=log_path), followed.rates)
 
 
 def beyond(proposed: Candidates, known: Candidates | None, probability: float) -> tuple[Candidates, float]:
@@ -225,15 +219,13 @@ def beyond(proposed: Candidates, known: Candidates | None, probability: float) -
     log_weight = proposed.particles.log_weight
     top = max(float(log_weight.max()) - MOST_LOG, 0.0)
     mass = np.exp(log_weight - top)
-    old = proposed.particles.poses[:0] if known is None else known.particles.poses
-    cell = cells_of(np.concatenate([proposed.particles.poses, old]))
-    here, cells = cell[: len(mass)], int(cell.max()) + 1
-    found = np.bincount(here, mass, minlength=cells)
     if known is not None:
-        before = np.exp(-top) * probability * known.particles.weight
-        gained = np.maximum(found - np.bincount(cell[len(mass) :], before, minlength=cells), 0.0)
+        cell = cells_of(np.concatenate([proposed.particles.poses, known.particles.poses]))
+        here, there = cell[: len(mass)], cell[len(mass) :]
+        found = np.bincount(here, mass)
+        before = np.bincount(there, np.exp(-top) * probability * known.particles.weight, minlength=len(found))
+        gained = np.maximum(found - before[: len(found)], 0.0)
         mass = mass * (gained / np.maximum(found, 1e-300))[here]
     more = mass > 0
-    chosen = proposed.only(more)
-    particles = replace(chosen.particles, log_weight=np.log(mass[more]))
-    return replace(chosen, particles=particles), float(mass.sum())
+    particles = replace(only(proposed.particles, more), log_weight=np.log(mass[more]))
+    return Candidates(particles, proposed.rates[:, more]), float(mass.sum())
