@@ -114,8 +114,7 @@ def with_scale(motion: Gaussian, *, walks: bool) -> Gaussian:
 
     walks: whether as a random walk that errs by as much over that way; else that of this motion alone.
     """
-    path_m = float(np.hypot(*motion.mean[:2]))
-    var = SCALE_SIGMA**2 * (max(SCALE_M / max(path_m, 1e-6), 1.0) if walks else 1.0)
+    var = SCALE_SIGMA**2 * (max(SCALE_M / max(np.hypot(*motion.mean[:2]), 1e-6), 1.0) if walks else 1.0)
     along = np.append(motion.mean[:2], 0.0)
     return replace(motion, cov=motion.cov + var * np.outer(along, along))
 
