@@ -1,9 +1,8 @@
 """Candidates: weighted poses at all places, beside the one that is tracked, where the robot may be (docs/belief.md).
 
-They are particles that many places share. Each has its own distribution of the detection rate. Images weigh places
-against each other by less than they tell of a pose, because the clutter of earlier images explains most edges as well.
-Within one cell of floor and heading, particles share its weight by the likelihood that the filter itself weighs
-particles by. So those of a place lie as close to the edges as if it were tracked.
+They are particles that many places share. Images weigh places against each other by less than they tell of a pose,
+because the clutter of earlier images explains most edges as well. Within one cell of floor and heading, particles share
+its weight by the likelihood of the filter. So those of a place lie as close to the edges as if it were tracked.
 
 For places that are proposed late (`History`) one image is kept for each scene. It counts for those since the one
 before, and the last image for those since it. What entered before the images that are kept counts as what is unexplored
@@ -186,10 +185,9 @@ class History:
         motion: MotionModel,
         rng: np.random.Generator,
     ) -> Candidates:
-        """Return proposed poses with the probabilities of docs/belief.md, step 5. sighting: the last image.
+        """Return proposed poses with the probabilities of docs/belief.md, step 5.
 
-        Their weights are the density of the region over that of the draws, divided by how many were drawn. evidence:
-        see `GlobalLocalisation.evidence`.
+        proposed: of weight prior / q. sighting: the last image. evidence: see `GlobalLocalisation.evidence`.
         """
         clouds = [replace(proposed.particles, log_weight=np.zeros(len(proposed)))]  # where they were; now last
         for image in reversed(self.images):
