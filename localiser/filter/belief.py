@@ -18,7 +18,7 @@ from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
 from localiser.observation import FEWEST_EDGES, DetectionRate, PlaceLandmarks, Sighting, marked_landmarks
 from localiser.particles import Clusters, Estimate, Particles
-from localiser.relocalisation import BLUR_RAD, PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
+from localiser.relocalisation import BLUR_RAD, MANY_PAIRS, PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
 LEFT = 1e-3  # between scenes: from mapped to unmapped surroundings, or from off the map onto it
 RETURNED = 1e-2  # in unmapped surroundings: to mapped ones, or the place is lost
@@ -214,7 +214,7 @@ class Belief:
         scene in proportion to it, at most `most_effort` each. On a large map they do so when the place is known.
         """
         is_first = not is_tracked and self.elsewhere == 0.0 and self.overlooked == 1.0
-        shares = is_tracked and (self.is_known or not search.pairs.are_many)
+        shares = is_tracked and (self.is_known or len(search.pairs.pair) <= MANY_PAIRS)
         effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
         proposed, hits = search.proposed(like, sighting, effort, rng)
         missed = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))

@@ -2,3 +2,4 @@
 
 from localiser.relocalisation.candidates import Candidates, History, beyond
 from localiser.relocalisation.global_localisation import BLUR_RAD, PLACE_POWER, GlobalLocalisation, SearchParameters
+from localiser.relocalisation.hypotheses import MANY_PAIRS

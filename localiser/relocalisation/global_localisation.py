@@ -118,26 +118,24 @@ class GlobalLocalisation:
     def proposed(
         self, like: Particles, sighting: Sighting, effort: float, rng: np.random.Generator
     ) -> tuple[Candidates, float]:
-        """Return candidates drawn where the edges of an image fit the map, and the expected hits.
+        """Return candidates, perhaps none, drawn where the edges of an image fit the map, and the expected hits.
 
-        Poses that explain the edges no better than clutter does are left out, perhaps all of them. The weight of the
-        others is that of importance sampling, so that a sum over candidates is a mean over the region. like: particles
-        whose other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates. effort:
-        how much is tried, 1 for an image that stands for itself. Expected hits: how many of the hypotheses are the true
-        pose, if it is in the region.
+        Their weight is that of importance sampling, so that a sum over candidates is a mean over the region. like:
+        particles whose other columns, constant errors that a robot keeps wherever it is, are drawn for the candidates.
+        effort: how much is tried, 1 for an image that stands for itself. Expected hits: how many of the hypotheses are
+        the true pose, if it is in the region.
         """
         camera, region = self.observation.camera.at(sighting.edges.mount), self.region
         tried, hits = self._hypotheses(camera, sighting, round(effort * HYPOTHESES), rng)
-        nothing = self.even(like, 0, rng), hits
         if len(tried) == 0:
-            return nothing
+            return self.even(like, 0, rng), hits
         count = max(round(effort * self.parameters.fresh), 1)
-        likeliest = np.argsort(-self.log_fit(tried, sighting, SEARCH_BLUR_RAD), kind="stable")
-        _, first = np.unique(cells_of(tried[likeliest]), return_index=True)
-        best = tried[likeliest[np.sort(first)[: -(-count // PER_BOX)]]]
+        tried = tried[np.argsort(-self.log_fit(tried, sighting, SEARCH_BLUR_RAD), kind="stable")]
+        _, first = np.unique(cells_of(tried), return_index=True)
+        best = tried[np.sort(first)[: -(-count // PER_BOX)]]
         poses, log_weight = evenly_around(best, region, rng)
         if len(poses) == 0:
-            return nothing
+            return self.even(like, 0, rng), hits
         cloud = Particles((*POSE, "log_fit"), np.vstack([poses.T, np.zeros(len(poses))]), log_weight)
         for blur_rad in WIDER_RAD:
             log_fit = self.log_fit(cloud.poses, sighting, blur_rad)
@@ -161,18 +159,14 @@ class GlobalLocalisation:
     def _hypotheses(
         self, camera: Camera, sighting: Sighting, count: int, rng: np.random.Generator
     ) -> tuple[Array, float]:
-        """Return robot poses (K, 3) in the region, and how many of those tried are expected to be the true one.
-
-        Three bearings are tried where feet give less than half of the poses.
-        """
+        """Return robot poses (K, 3) in the region, and how many of those tried are expected to be the true one."""
         feet = Feet.of(self.observation.frame(sighting.edges.longest(MOST_EDGES)))
-        by_marker = from_markers(camera, sighting.edges, self.landmark_map)
-        by_feet, hits = from_feet(feet, self.pairs, count, rng)
-        cameras = [by_marker, by_feet]
-        if len(by_feet) < count // 2:
-            by_bearings, more = from_bearings(feet, self.pairs, count - len(by_feet), rng)
-            cameras, hits = [*cameras, by_bearings], hits + more
-        poses = compose(np.concatenate(cameras), between(camera.robot_from_level, np.zeros(3)))
+        by_marker = from_markers(sighting.edges, self.landmark_map)
+        cameras, hits = from_feet(feet, self.pairs, count, rng)
+        if len(cameras) < count // 2:
+            by_bearings, more = from_bearings(feet, self.pairs, count - len(cameras), rng)
+            cameras, hits = np.concatenate([cameras, by_bearings]), hits + more
+        poses = compose(np.concatenate([by_marker, cameras]), between(camera.robot_from_level, np.zeros(3)))
         inside = self.region.contains(poses)
         return poses[inside], hits + MARKER_HITS * inside[: len(by_marker)].any()
 
@@ -183,12 +177,11 @@ def _seeing(camera: Camera, poses: Array, log_weight: Array, like: Particles, rn
     Their other columns are drawn from `like`. One of them may be the camera's yaw, for which the robot is turned.
     """
     columns = like.columns[:, multinomial_resample(like.weight, len(poses), rng)]
-    columns[:3] = poses.T
+    turned = poses.copy()
     if CAMERA_YAW in like.names:
-        turned = poses.copy()
         turned[:, 2] = wrap_angle(poses[:, 2] - columns[like.names.index(CAMERA_YAW)])
         turned[:, :2] += (camera.pose_in_map(poses) - camera.pose_in_map(turned))[:, :2]
-        columns[:3] = turned.T
+    columns[:3] = turned.T
     return Candidates.of(replace(like, columns=columns, log_weight=log_weight))
 
 
@@ -197,8 +190,7 @@ def evenly_around(centres: Array, region: Region, rng: np.random.Generator) -> t
 
     And their log-weights (N,): weights sum to the prior probability of what the boxes, which may overlap, cover of it.
     """
-    poses = np.repeat(centres, PER_BOX, axis=0)
-    poses += BOX * rng.uniform(-0.5, 0.5, poses.shape)
+    poses = np.repeat(centres, PER_BOX, axis=0) + BOX * rng.uniform(-0.5, 0.5, (PER_BOX * len(centres), 3))
     poses = poses[region.contains(poses)]
     poses[:, 2] = wrap_angle(poses[:, 2])
     return poses, region.log_density + np.log(BOX.prod() / PER_BOX / _boxes_at(poses, centres))

@@ -36,7 +36,7 @@ class LandmarkPairs:
     """Landmarks (L) of a map, and their ordered pairs (M) by distance.
 
     points: (L, 2) m. sigma_max_m: the largest error of a position. range_m: between which landmarks are seen. class_m:
-    (B,) heights that lower ends are grouped to, ascending. pair: (M, 2) landmarks no farther apart than both can be in
+    (B,) groups of heights of lower ends, 0 where unknown. pair: (M, 2) landmarks no farther apart than both can be in
     sight, sorted by `key` (M,), their distance plus `step` for the group of the first times B plus that of the second.
     """
 
@@ -47,11 +47,6 @@ class LandmarkPairs:
     pair: NDArray[np.int32]
     key: Array
     step: float
-
-    @property
-    def are_many(self) -> bool:
-        """Whether there are so many that an image can try but a part of what it may be."""
-        return len(self.pair) > MANY_PAIRS
 
     @classmethod
     def of(cls, landmark_map: LandmarkMap, parameters: ObservationParameters) -> LandmarkPairs:
@@ -67,20 +62,12 @@ class LandmarkPairs:
         one, distance = one[distance > 1e-3], distance[distance > 1e-3]
         pair, distance = np.concatenate([one, one[:, ::-1]]), np.concatenate([distance, distance])
 
-        bottom_m = np.nan_to_num(landmark_map.bottom_m, nan=0.0)  # the floor
-        height, group = np.unique(np.round(bottom_m / BOTTOM_STEP_M).astype(np.int64), return_inverse=True)
+        height, group = np.unique(np.round(np.nan_to_num(landmark_map.bottom_m) / BOTTOM_STEP_M), return_inverse=True)
         step = 2.0 * sight.range_max_m + 1.0  # no distance reaches it
         key = (group[pair[:, 0]] * len(height) + group[pair[:, 1]]) * step + distance
         order = np.argsort(key, kind="stable")
-        return cls(
-            points=points,
-            sigma_max_m=float(landmark_map.sigma_m(parameters.landmark_sigma_m).max()),
-            range_m=(sight.range_min_m, sight.range_max_m),
-            class_m=height.astype(np.float64) * BOTTOM_STEP_M,
-            pair=pair[order],
-            key=key[order],
-            step=step,
-        )
+        sigma_max_m, class_m = float(landmark_map.sigma_m(parameters.landmark_sigma_m).max()), height * BOTTOM_STEP_M
+        return cls(points, sigma_max_m, (sight.range_min_m, sight.range_max_m), class_m, pair[order], key[order], step)
 
     def between(self, pair_class: Indices, low_m: Array, high_m: Array) -> tuple[Indices, Indices]:
         """Return for queries (Q,) the slice first … last (Q,) of the pairs of this class at low_m … high_m (Q,)."""
@@ -121,22 +108,17 @@ class Feet:
         return cls(camera, bearing, foot, sigma, np.nan_to_num(edges.length_px, nan=1.0))
 
     def ranges(self, pairs: LandmarkPairs) -> tuple[Array, Array]:
-        """Return range and its sigma (E, B), m, of every edge if its foot is at each height; nan where unknown.
-
-        The foot at the upright height e falls (s - e c) / (c + e s) per metre ahead of the camera, which has a known
-        height.
-        """
+        """Return range and its sigma (E, B), m, of every edge if its foot is at each height; nan where unknown."""
         s, c = np.sin(self.camera.mount.tilt_rad), np.cos(self.camera.mount.tilt_rad)
         drop = self.camera.mount.height_m - pairs.class_m
-        fall = ((s - self.foot * c) / (c + self.foot * s))[:, None]
+        fall = ((s - self.foot * c) / (c + self.foot * s))[:, None]  # of the line of sight, per metre ahead
         per_e = (1.0 / (c + self.foot * s) ** 2)[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             ahead = drop / fall
             # Heights within a group are even over one step.
             relative = np.hypot(np.abs(per_e / fall) * self.foot_sigma, BOTTOM_STEP_M / np.sqrt(12) / np.abs(drop))
             range_m = ahead / np.cos(self.bearing)[:, None]
-            told = (ahead > 0) & (relative < WORST_RANGE)
-            told &= (range_m >= pairs.range_m[0]) & (range_m <= pairs.range_m[1])
+            told = (ahead > 0) & (relative < WORST_RANGE) & (range_m == np.clip(range_m, *pairs.range_m))
             return np.where(told, range_m, np.nan), np.where(told, range_m * relative, np.nan)
 
 
@@ -147,16 +129,13 @@ def from_feet(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Gener
     """Return camera poses (K ≤ count, 3) at which two edges, with the ranges of their feet, are two landmarks.
 
     Pairs of edges come first that are long, so hardly ever clutter, have sure ranges, and can be few pairs of
-    landmarks. Of what can be very many, a random part is tried.
-
-    The second value is how many of the poses are expected to be the true one: `BOTH_RIGHT` of the pairs of edges, times
-    the part of all their pairs of landmarks that is tried.
+    landmarks. Of what can be very many, a random part is tried. The second value is how many poses are expected to be
+    the true one: `BOTH_RIGHT` of the pairs of edges, times the part of all their pairs of landmarks that is tried.
     """
     ranges, sigmas = feet.ranges(pairs)
-    usable = np.flatnonzero(np.isfinite(ranges).any(axis=1))
-    i, j = (usable[one] for one in np.triu_indices(len(usable), k=1))
-    wide = feet.bearing[j] - feet.bearing[i] >= NARROWEST_RAD
-    i, j = i[wide], j[wide]
+    known = np.isfinite(ranges).sum(axis=1)
+    is_wide = feet.bearing - feet.bearing[:, None] >= NARROWEST_RAD
+    i, j = np.nonzero(is_wide & (known > 0) & (known[:, None] > 0))
     if len(i) == 0:
         return np.zeros((0, 3)), 0.0
 
@@ -173,42 +152,40 @@ def from_feet(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Gener
     able = np.bincount(pair, last - first, minlength=len(i))
 
     # An exponential draw over merits, sorted, is a draw without putting back with chances in proportion to them.
-    sure = np.nanmean(sigmas[usable], axis=1)[np.searchsorted(usable, [i, j])].sum(axis=0)
-    merit = np.sqrt(feet.length_px[i] * feet.length_px[j]) / sure
+    mean_sigma = np.nansum(sigmas, axis=1) / np.maximum(known, 1)
+    merit = np.sqrt(feet.length_px[i] * feet.length_px[j]) / (mean_sigma[i] + mean_sigma[j])
     order = np.argsort(rng.exponential(size=len(i)) * able / merit)
     order = order[able[order] > 0]
     tried = np.minimum(able[order], count / FEWEST_TRIED)
-    chosen = np.zeros(len(i), dtype=bool)
-    chosen[order[np.cumsum(tried) - tried < count]] = True
+    chosen = np.bincount(order[np.cumsum(tried) - tried < count], minlength=len(i)) > 0
     keep = np.flatnonzero(chosen[pair])
     part = np.minimum(1.0, count / FEWEST_TRIED / able[pair[keep]])
     each = np.floor((last - first)[keep] * part + rng.random(len(keep))).astype(np.int64)
     query = np.repeat(np.arange(len(keep)), each)
     place = np.arange(len(query)) - np.repeat(np.cumsum(each) - each, each)  # of as many as are tried of the query
     some = rng.permutation(len(query))[:count]
-    query, place = query[some], place[some]
-    entry = first[keep[query]] + ((place + rng.random(len(place))) / part[query]).astype(np.int64)
-    landmark, query = pairs.pair[np.minimum(entry, last[keep[query]] - 1)], keep[query]
+    entry = ((place[some] + rng.random(len(some))) / part[query[some]]).astype(np.int64)
+    query = keep[query[some]]
+    landmark = pairs.pair[np.minimum(first[query] + entry, last[query] - 1)]
     edges = np.stack([i, j], axis=-1)[pair[query]]
-    measured = np.stack([ranges[edges[:, 0], one[query]], ranges[edges[:, 1], other[query]]], axis=-1)
-    points = pairs.points[landmark]
-    cameras = from_two_bearings(points[:, 0], points[:, 1], feet.bearing[edges], measured)
+    measured = ranges[edges, np.stack([one[query], other[query]], axis=-1)]
+    cameras = from_two_bearings(pairs.points[landmark], feet.bearing[edges], measured)
     return cameras, float(BOTH_RIGHT * len(i) * len(query) / max(able.sum(), 1))
 
 
-def from_two_bearings(first: Array, second: Array, bearings: Array, ranges: Array) -> Array:
-    """Return the camera's poses (K, 3) that see landmarks `first` and `second` (K, 2) at two bearings (K, 2) exactly.
+def from_two_bearings(points: Array, bearings: Array, ranges: Array) -> Array:
+    """Return the camera's poses (K, 3) that see two landmarks at two bearings exactly (docs/relocalisation.md, step 1).
 
-    ranges: (K, 2) distances, of which only the ratio counts (docs/relocalisation.md).
+    points: (K, 2, 2) landmarks in the map. bearings: (K, 2) rad. ranges: (K, 2), of which only the ratio counts.
     """
     ray = np.stack([np.sin(bearings), -np.cos(bearings)], axis=-1) * ranges[..., None]
-    across, along = ray[:, 1] - ray[:, 0], second - first
+    across, along = ray[:, 1] - ray[:, 0], points[:, 1] - points[:, 0]
     scale = np.hypot(along[:, 0], along[:, 1]) / np.hypot(across[:, 0], across[:, 1])
     # The rotation by h turns a vector's angle atan2(z, x) by -h.
     heading = np.arctan2(across[:, 1], across[:, 0]) - np.arctan2(along[:, 1], along[:, 0])
-    turned = np.concatenate([np.zeros_like(first), heading[:, None]], axis=1)
-    position = first - geometry.map_from_robot(turned, ray[:, 0] * scale[:, None])
-    return np.concatenate([position, wrap_angle(heading)[:, None]], axis=1)
+    turned = np.column_stack([np.zeros_like(along), heading])
+    position = points[:, 0] - geometry.map_from_robot(turned, ray[:, 0] * scale[:, None])
+    return np.column_stack([position, wrap_angle(heading)])
 
 
 # -- three bearings ---------------------------------------------------------------------------------------------------
@@ -235,9 +212,9 @@ def from_three_bearings(points: Array, bearings: Array) -> Array:
     points: (K, 3, 2) landmarks in the map. bearings: (K, 3) rad, from the camera's forward axis, positive right.
 
     The first landmark is the origin, r (sin b₁, -cos b₁) from the camera. A landmark q lies on its ray when
-    n·(Rᵀq + r (sin b₁, -cos b₁)) = 0 with n = (cos b, sin b) across the ray, R the rotation by the heading h. That is
-    linear in (cos h, sin h, r). Two rays leave a line of solutions, the cross product of their rows, on which
-    cos² h + sin² h = 1 and r > 0 pick a point. There is none where camera and landmarks lie on one circle.
+    n·(Rᵀq + r (sin b₁, -cos b₁)) = 0 with n = (cos b, sin b) across the ray, R the rotation by the heading h. Two rays
+    leave a line of solutions, the cross product of their rows, on which cos² h + sin² h = 1 and r > 0 pick a point.
+    There is none where camera and landmarks lie on one circle.
     """
     nx, nz = np.cos(bearings[:, 1:]), np.sin(bearings[:, 1:])
     qx, qz = np.moveaxis(points[:, 1:] - points[:, :1], -1, 0)
@@ -256,7 +233,7 @@ def from_three_bearings(points: Array, bearings: Array) -> Array:
 # -- a marker ---------------------------------------------------------------------------------------------------------
 
 
-def from_markers(camera: Camera, edges: Edges, landmark_map: LandmarkMap) -> Array:
+def from_markers(edges: Edges, landmark_map: LandmarkMap) -> Array:
     """Return camera poses (K, 3) from which a marker that the map has shows both its sides where they are seen.
 
     From everywhere on a circle through both sides they are as far apart. So there are poses for each direction from
