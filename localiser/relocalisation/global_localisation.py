@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from localiser.camera import Camera
-from localiser.geometry import Array, between, compose, wrap_angle
+from localiser.geometry import Array, Indices, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
 from localiser.observation import FEWEST_EDGES, DetectionRate, EdgeObservation, Sighting
 from localiser.particles import CAMERA_YAW, CELL_M, CELL_RAD, POSE, Particles, cells_of, multinomial_resample
@@ -196,11 +196,12 @@ def evenly_around(centres: Array, region: Region, rng: np.random.Generator) -> t
     return poses, region.log_density + np.log(BOX.prod() / PER_BOX / _boxes_at(poses, centres))
 
 
-def _boxes_at(poses: Array, centres: Array) -> Array:
+def _boxes_at(poses: Array, centres: Array) -> Indices:
     """Return how many of the boxes around poses (K, 3) each of the poses (N, 3) is in."""
-    boxes, (x, z, heading) = np.zeros(len(poses)), poses.T.copy()
-    half_x, half_z, half_turn = 0.5 * BOX + 1e-9
-    for at_x, at_z, towards in centres:
-        beside = np.flatnonzero((np.abs(x - at_x) <= half_x) & (np.abs(z - at_z) <= half_z))
-        boxes[beside] += np.abs(wrap_angle(heading[beside] - towards)) <= half_turn
-    return boxes
+    from scipy.spatial import cKDTree
+
+    one, other = cKDTree(poses[:, :2]), cKDTree(centres[:, :2])  # a loop over all boxes takes far longer
+    near = one.sparse_distance_matrix(other, 0.5 * CELL_M + 1e-6, p=np.inf, output_type="ndarray")
+    off = poses[near["i"]] - centres[near["j"]]
+    off[:, 2] = wrap_angle(off[:, 2])
+    return np.bincount(near["i"][(np.abs(off) <= 0.5 * BOX + 1e-9).all(axis=1)], minlength=len(poses))
