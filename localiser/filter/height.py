@@ -29,7 +29,6 @@ LEAST_NOVELTY = 0.2  # between images that are learnt from
 COARSE_M: Array = np.linspace(-0.2, 0.2, 17)  # the offsets that are weighed together with poses
 COARSE_SIGMA_M = 0.0125  # half of their distance, so that none falls between them
 UNKNOWN_SIGMA_M = 0.02  # sigma from which on they are
-COARSE_NOVELTY = 0.5  # between images that they are weighed by, as that takes time
 IMAGE_POWER = 0.6  # of the likelihood over particles, here and where wheels are judged: edges of an image err together
 _SIGMAS = 3.0  # from which on an offset contradicts what is stated; from one on it is used
 

@@ -20,7 +20,7 @@ from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_near, is_silent, moves_between
-from localiser.filter.height import COARSE_NOVELTY, COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, seen_from
+from localiser.filter.height import COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, seen_from
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
@@ -213,7 +213,8 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         pose, points = located.estimate.as_seen.pose, mcl.landmark_map.points
         landmarks = state.belief.landmarks.after(located.matches, points, pose, image.jump.novelty)
         state.belief = replace(state.belief, landmarks=landmarks)
-    state.height = _height(mcl, state, located, association, image)
+    if state.particles is not None and weighed is not None:
+        state.height = _height(mcl, state, located, association, image)
     state.map_error = _map_error(mcl, state, located, association, image.novelty)
     # Resample: where weights are uneven, or the number of particles is not the usual one.
     count, below = mcl.parameters.particles, mcl.parameters.resample_below
@@ -221,7 +222,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
         weighed = particles.take(weighed, systematic_resample(weighed.weight, count, rng))
     state.particles = weighed
     seconds = (sighting.t_ns - state.at_ns) / 1e9
-    state.wheels = state.wheels.located(None if weighed is None else located.estimate, seconds)
+    state.wheels = state.wheels.located(None if weighed is None or located.took_over else located.estimate, seconds)
     state.at_ns, state.weighed, state.seen = sighting.t_ns, True, replace(sighting, clutter=clutter)
     return located
 
@@ -432,7 +433,7 @@ def _height_with_poses(
     That is over the poses of all particles. Edges are blurred so that a few particles are dense enough.
     """
     observation, landmarks, edges = mcl.edges, mcl.landmark_map, sighting.edges
-    is_asked = state.height.is_unknown and (not state.weighed or state.height.novelty >= COARSE_NOVELTY)
+    is_asked = state.height.is_unknown and (not state.weighed or state.height.novelty >= LEAST_NOVELTY)
     if mcl.level is None or observation is None or state.particles is None or not is_asked:
         return state.height
     have_ends = np.isfinite(edges.ends_px).all() and np.isfinite([landmarks.bottom_m, landmarks.top_m]).any()
@@ -452,7 +453,7 @@ def _height_with_poses(
 
 def _height(mcl: Mcl, state: FilterState, located: Located, association: Association | None, image: _Image) -> Height:
     """Return what is known of the camera's height after an image, while a place is tracked."""
-    if mcl.level is None or association is None or state.particles is None or not len(located.edges):
+    if mcl.level is None or association is None or not len(located.edges):
         return state.height
     new = image.novelty if state.weighed else 0.0
     height = replace(state.height, novelty=min(state.height.novelty + new, 1.0))
