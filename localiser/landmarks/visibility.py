@@ -146,8 +146,6 @@ def half_view_rad(camera: Camera) -> float:
     return float(np.arctan(max(-a_left, a_right) / narrowest))
 
 
-# -- where landmarks are expected in an image, as lines to draw -------------------------------------------------------
-
 _FINE_STEPS = 129  # points at which a landmark's line is asked whether it is inside the image: a few pixels apart
 
 

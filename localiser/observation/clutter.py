@@ -131,8 +131,6 @@ def continued_density(now: Frame, image: EarlierFrame) -> tuple[Array, Array]:
     return compiled(continued_loop)(now.clutter, then.clutter, image.motion, image.turn_var, mount, end_var)
 
 
-# -- the loop, for numba to compile -----------------------------------------------------------------------------------
-
 # Columns of `Frame.clutter`; of `_E` to `_CUT` there are two each, for the lower and the upper end.
 _BEARING, _VAR, _COS, _SIN, _SPAN, _E, _SLOPE, _ROOM, _CUT, _PER_LENGTH = 0, 1, 2, 3, 4, 5, 7, 9, 11, 13
 

@@ -205,9 +205,6 @@ def in_cells(
     return order, run, start, item
 
 
-# -- a loop, for numba to compile --------------------------------------------------------------------------------------
-
-
 def in_cells_loop(poses: Array, sequence: Indices) -> tuple[Indices, Indices, Array, Array, Indices]:
     """Return run (cells + 1,) and order (N,): poses (N, 3+) of cell c are order[run[c] : run[c + 1]].
 

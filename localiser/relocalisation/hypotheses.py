@@ -122,9 +122,6 @@ class Feet:
             return np.where(told, range_m, np.nan), np.where(told, range_m * relative, np.nan)
 
 
-# -- two feet ---------------------------------------------------------------------------------------------------------
-
-
 def from_feet(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return camera poses (K ≤ count, 3) at which two edges, with the ranges of their feet, are two landmarks.
 
@@ -188,9 +185,6 @@ def from_two_bearings(points: Array, bearings: Array, ranges: Array) -> Array:
     return np.column_stack([position, wrap_angle(heading)])
 
 
-# -- three bearings ---------------------------------------------------------------------------------------------------
-
-
 def from_bearings(feet: Feet, pairs: LandmarkPairs, count: int, rng: np.random.Generator) -> tuple[Array, float]:
     """Return camera poses (K ≤ count, 3) at which three edges are three landmarks, and how many should be true.
 
@@ -228,9 +222,6 @@ def from_three_bearings(points: Array, bearings: Array) -> Array:
     is_ahead = (seen[..., 0] * np.sin(bearings) > seen[..., 1] * np.cos(bearings)).all(axis=1)
     poses[~is_ahead | (np.linalg.norm(line, axis=1) <= 1e-6)] = np.nan
     return poses
-
-
-# -- a marker ---------------------------------------------------------------------------------------------------------
 
 
 def from_markers(edges: Edges, landmark_map: LandmarkMap) -> Array:

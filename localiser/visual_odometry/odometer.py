@@ -67,8 +67,6 @@ class VisualOdometryParameters:
         return Gaussian(kept * pace.mean * seconds, cov * seconds**2)
 
 
-# -- from two images to an increment ----------------------------------------------------------------------------------
-
 SCALE_SIGMA = 0.12  # of the scale of all ranges: what is taken for feet stands on plinths and shelves of about 0.1 m
 SCALE_M = 2.0  # how far the robot drives until other things are in view, and the scale is another
 
