@@ -31,6 +31,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel, MotionParameters, covariance_of
 from localiser.observation import (
     Association,
+    EarlierFrame,
     EdgeObservation,
     InlierRate,
     Matches,
@@ -278,18 +279,20 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
 
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -> _Image:
     """Return what the motion and earlier images tell of an image."""
-    seen, increment = state.seen, drive.increment
+    motion, seen, increment = mcl.motion, state.seen, drive.increment
     novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.weighed else 1.0
     jump, scene, attitude = Jump(novelty), state.scene, state.attitude
     if mcl.level is not None:
         edges, attitude = mcl.level.levelled(attitude, sighting.edges, increment.path_m, novelty)
         sighting = replace(sighting, edges=edges)
     if mcl.edges is not None:
-        scene, density, jump, before = scene.followed(mcl.edges, mcl.motion, sighting, increment)
+        scene, density, jump = scene.followed(mcl.edges, motion, sighting, increment)
         sighting = replace(sighting, scene=density)
-        if seen is not None and len(seen.edges) and before is not None and novelty < 1.0:
-            persistent = persistent_clutter(mcl.edges.frame(sighting.edges), before, seen.clutter)
-            sighting = replace(sighting, persistent=persistent)
+        if seen is not None and len(seen.edges) and novelty < 1.0:
+            now, turn_var = mcl.edges.frame(sighting.edges), float(covariance_of(motion, increment)[2, 2])
+            last = mcl.edges.frame(state.scene.images[-1].sighting.edges)  # levelled, too
+            before = EarlierFrame.of(last, now, increment, turn_var)
+            sighting = replace(sighting, persistent=persistent_clutter(now, before, seen.clutter))
     return _Image(drive, sighting, novelty, jump, scene, attitude)
 
 

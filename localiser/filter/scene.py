@@ -68,12 +68,12 @@ class Scene:
 
     def followed(
         self, observation: EdgeObservation, motion: MotionModel, sighting: Sighting, increment: Increment
-    ) -> tuple[Scene, Array, Jump, EarlierFrame | None]:
-        """Return the scene with an image, the density of clutter at its edges (E,), how new it is, the frame before.
+    ) -> tuple[Scene, Array, Jump]:
+        """Return the scene with an image, the density of clutter at its edges (E,), and how new it is.
 
-        increment: the motion since the last image. The frame before is the last one with edges, None if there is none.
+        increment: the motion since the last image.
         """
-        now, usual, jump, last = self.moved.then(increment), self.usual, Jump(1.0), None
+        now, usual, jump = self.moved.then(increment), self.usual, Jump(1.0)
 
         def way_since(image: SeenImage) -> tuple[float, float]:
             return now.path_m - image.moved.path_m, now.turned_rad - image.moved.turned_rad
@@ -93,9 +93,9 @@ class Scene:
 
         density, _ = scene_clutter(frame, [before(one) for one in images[: max(back - first, 1)][::-1]])
         if images:
-            log_ratio, log_fit, last = 0.0, 0.0, before(images[-1])
+            log_ratio, log_fit = 0.0, 0.0
             if len(sighting.edges):
-                _, continuing = scene_clutter(frame, [last])
+                _, continuing = scene_clutter(frame, [before(images[-1])])
                 log_ratio, log_fit, fraction = _log_carried(continuing, usual)
                 usual = USUAL_MEMORY * usual + (1.0 - USUAL_MEMORY) * fraction
             novelty = increment.path_m / SCENE_M + increment.turned_rad / SCENE_RAD
@@ -105,7 +105,7 @@ class Scene:
         if jump.log_ratio > WHOLLY_NEW:
             images = ()
         here = (SeenImage(sighting, now),) if len(sighting.edges) else ()
-        return Scene((*images, *here), usual, now), density, jump, last
+        return Scene((*images, *here), usual, now), density, jump
 
 
 def _log_carried(continuing: Array, usual: float) -> tuple[float, float, float]:

@@ -197,7 +197,7 @@ def driven(step_m: float, images: int) -> tuple[Scene, list[float]]:
     scene, novelties = Scene(), []
     for index in range(images):
         increment = Increment.from_mean([0.0, -step_m if index else 0.0, 0.0])
-        scene, _, jump, _ = scene.followed(OBSERVATION, MotionParameters(), image([-0.2, 0.0, 0.3]), increment)
+        scene, _, jump = scene.followed(OBSERVATION, MotionParameters(), image([-0.2, 0.0, 0.3]), increment)
         novelties.append(jump.novelty)
     return scene, novelties
 
