@@ -164,7 +164,7 @@ def test_matches_are_those_of_the_edges_that_were_weighed() -> None:
     since = last.located.increment
     earlier = EarlierFrame.of(then, now, since, float(covariance_of(config.motion, since)[2, 2]))
     persistent = persistent_clutter(now, earlier, seen.clutter)
-    np.testing.assert_allclose(last.located.sighting.persistent, persistent, rtol=1e-12)  # motions are summed otherwise
+    np.testing.assert_array_equal(last.located.sighting.persistent, persistent)
     assert persistent.max() > 2.0
 
 

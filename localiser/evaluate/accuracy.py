@@ -188,7 +188,7 @@ _LARGEST_GATE, _SMALLEST_GATE = 40.0, 1e-2  # beyond the one nothing is cut off;
 def residual_sums(matches: Matches) -> Array:
     """Return Σ z², its expectation and its variance (3,) over the matched edges of one image.
 
-    nan where sigmas are not known, or nothing is matched.
+    nan where nothing is matched.
     """
     residual, sigma, gate = matches.residual, matches.sigma, matches.gate
     known = np.isfinite(residual) & (sigma > 0) & (gate > 0)

@@ -29,6 +29,7 @@ PROPOSING_NOVELTY = 0.1  # scenes between images that poses are proposed from
 MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so that no frame takes long
 SURELY_CARRIED = 0.5  # probability of having been carried from which on one image may do the work of a whole scene
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one, at least
+KNOWN = 0.005  # probability of having been overlooked below which a place that was found counts as one that was stated
 NEGLIGIBLE = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
@@ -44,7 +45,7 @@ RELEASED = 1e-3  # probability below which the particles are no longer tracked, 
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is
 # From which probability of being off the map on, and after how many scenes with enough edges, a map does not fit.
 TRACKED_UNFIT, UNFIT = (0.7, 15.0), (0.97, 22.0)  # while a place is tracked, and while none is
-MISSING = 0.3  # probability of the map by near landmarks, below which they are
+MISSING = 0.3  # probability of the map by near landmarks, below which they are: `TRACKED_UNFIT` without scenes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,14 +121,13 @@ class Belief:
         told = novelty / scenes if edges >= FEWEST_EDGES else 0.0  # a few edges may be anything, whatever the map
         belief = replace(belief, unfit=self.unfit + told if belief.off_map > off_map else 0.0)
         new = min(self.unproposed + novelty, 1.0)
-        doubt = search.parameters.doubt
-        may_be_lost = 1.0 - belief.here >= doubt or not belief.is_known
+        may_be_lost = 1.0 - belief.here >= search.parameters.doubt or not belief.is_known
         if new < PROPOSING_NOVELTY or (may_be_lost and not edges):
             return replace(belief, unproposed=new, history=belief.history.with_image(sighting))
         if may_be_lost:
             most_effort = 1.0 if carried > SURELY_CARRIED else MOST_EFFORT
             belief = belief._explored(search, like, is_tracked, sighting, new, most_effort, motion, rng)
-        if not may_be_lost or (is_tracked and belief.overlooked < doubt):
+        if not may_be_lost or (is_tracked and belief.overlooked < KNOWN):
             belief = replace(belief, is_known=True, overlooked=1.0)
         most = round(BESIDE * search.parameters.particles_most) if is_tracked else search.parameters.particles_most
         candidates = None if belief.candidates is None else belief.candidates.resampled(most, rng)

@@ -30,7 +30,7 @@ COARSE_M: Array = np.linspace(-0.2, 0.2, 17)  # the offsets that are weighed tog
 COARSE_SIGMA_M = 0.0125  # half of their distance, so that none falls between them
 UNKNOWN_SIGMA_M = 0.02  # sigma from which on they are
 IMAGE_POWER = 0.6  # of the likelihood over particles, here and where wheels are judged: edges of an image err together
-_SIGMAS = 3.0  # from which on an offset contradicts what is stated; from one on it is used
+_SIGMAS = 3.0  # from which on an offset contradicts what is stated
 
 _STATED: Array = np.exp(-0.5 * (OFFSETS_M / STATED_SIGMA_M) ** 2)
 _STATED /= _STATED.sum()

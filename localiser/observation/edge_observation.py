@@ -84,7 +84,7 @@ class EdgeObservation:
 
         The edges are a Poisson process, see `likelihood_kernel.log_products`: a pose that sees no landmark explains
         them as well as clutter does, which is that of the scene. visibility: (V, L) probability that a landmark in view
-        is not hidden. is_inlier_rate: for inlier rates instead; clutter is then that of the last image.
+        is not hidden, for each of V views. is_inlier_rate: for inlier rates; clutter is then that of the last image.
         """
         frame, count = self.frame(sighting.edges), particles.columns.shape[1]
         if not len(frame.edges.bearing):
@@ -195,7 +195,7 @@ def in_cells(
 ) -> tuple[Indices, Indices, Indices, NDArray[np.int32]]:
     """Return order (N,) and run (cells + 1,) of poses (N, 4), see `in_cells_loop`, and what can be in view from cells.
 
-    From cell c that are landmarks item[start[c] : start[c + 1]], start (cells + 1,). inputs: of `kernel_inputs`.
+    Of start (cells + 1,) and item, that are item[start[c] : start[c + 1]] of cell c. inputs: of `kernel_inputs`.
     """
     run, order, low, per_unit, shape = entry(in_cells_loop)(poses, sequence)
     half_view_rad = float(np.arctan(frame.sight[1][3]) + np.abs(poses[:, 3]).max())

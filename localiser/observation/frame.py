@@ -1,7 +1,7 @@
 """The frame: the edges of one image as they are compared with landmarks and with other edges, worked out once.
 
-Edges are compared by an angle. `line` compares bearings; `slope` compares leans, as the founding paper does, whose
-tangent is that of the bearing times the sine of the tilt [Taylor06, eq. 7], and by their ends (docs/observation.md).
+Edges are compared by an angle and by their ends (docs/observation.md). `line` compares bearings; `slope` leans,
+as the founding paper does, whose tangent is that of the bearing times the sine of the tilt [Taylor06, eq. 7].
 """
 
 from __future__ import annotations
@@ -198,9 +198,6 @@ def bins_of(angle: Array) -> EdgeBins:
     bin_of_angle = ((angle - angle[0]) * (1.0 / step)).astype(np.int64)  # by the sum that is done with those looked for
     first = np.searchsorted(bin_of_angle, np.arange(_BINS))
     return first, (float(angle[0]), 1.0 / step, _BINS - 1.0)
-
-
-# -- edges ------------------------------------------------------------------------------------------------------------
 
 
 def marked_landmarks(edges: Edges, landmark_map: LandmarkMap) -> Indices:

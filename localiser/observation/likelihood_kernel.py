@@ -35,6 +35,7 @@ _HALF_PI, _LOG_TWO, _ROOT_TWO = np.pi / 2, float(np.log(2.0)), float(np.sqrt(2.0
 _FRACTION, _ONE = (1 << 52) - 1, 1023 << 52  # bits of a float64: its fraction; 1.0
 
 # Rows of a block: camera poses; one landmark as it is seen from them; one edge beside it; how many landmarks are seen.
+# In one array, so that the compiler knows that they do not overlap.
 _X, _Z, _HEADING, _YAW, _COS, _SIN = range(6)
 _ANGLE, _VARIANCE, _FOOT, _TOP, _PER_VISIBLE, _FIRST, _END, _SCALE = range(6, 14)
 _RESIDUAL, _SPREAD, _COVERED, _IS_PAIR, _AT_FOOT, _AT_TOP, _DENSITY, _RATIO = range(14, 22)

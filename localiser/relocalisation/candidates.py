@@ -187,9 +187,10 @@ class History:
     ) -> Candidates:
         """Return proposed poses with the probabilities of docs/belief.md, step 5.
 
-        proposed: of weight prior / q. sighting: the last image. evidence: see `GlobalLocalisation.evidence`.
+        proposed: of weight prior / density of draws. sighting: the last image. evidence: `GlobalLocalisation.evidence`.
         """
-        clouds = [replace(proposed.particles, log_weight=np.zeros(len(proposed)))]  # where they were; now last
+        # Where they were, by odometry and its noise; now last.
+        clouds = [replace(proposed.particles, log_weight=np.zeros(len(proposed)))]
         for image in reversed(self.images):
             steps = from_gaussian(image.step.mean, covariance_of(motion, image.step), len(proposed), rng).poses
             columns = clouds[0].columns.copy()

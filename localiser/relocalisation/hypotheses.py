@@ -36,7 +36,7 @@ class LandmarkPairs:
     """Landmarks (L) of a map, and their ordered pairs (M) by distance.
 
     points: (L, 2) m. sigma_max_m: the largest error of a position. range_m: between which landmarks are seen. class_m:
-    (B,) groups of heights of lower ends, 0 where unknown. pair: (M, 2) landmarks no farther apart than both can be in
+    (B,) heights that lower ends are grouped to, ascending; 0 for unknown. pair: (M, 2) landmarks that can both be in
     sight, sorted by `key` (M,), their distance plus `step` for the group of the first times B plus that of the second.
     """
 

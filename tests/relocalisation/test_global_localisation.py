@@ -102,9 +102,13 @@ def test_a_robot_that_is_carried_away_is_found_again(seed: int) -> None:
 def test_a_wrong_start_is_noticed() -> None:
     driven = drive(40)
     start = Start(0, np.array([-2.0, -1.5, 2.0]), np.diag([0.1, 0.1, 0.05]) ** 2)
-    found = located([start, *driven.events])
+    state, rng, found, paces = FilterState(), np.random.default_rng(0), [], []
+    for event in [start, *driven.events]:
+        found += step(FILTER, state, event, rng)
+        paces += [state.wheels.pace] if isinstance(event, Sighting) else []
     assert is_right(found, driven.truth)[-5:].all()
-    assert any(one.took_over for one in found)
+    jumped = [pace for pace, one in zip(paces, found, strict=True) if one.took_over]
+    assert jumped and all(pace is None for pace in jumped) and paces[-1] is not None
 
 
 def test_a_search_changes_nothing_while_the_robot_is_where_it_is_believed() -> None:
@@ -131,11 +135,11 @@ def test_edges_that_show_no_landmark_cost_confidence_and_are_named() -> None:
     assert found[-1].reason in ("edges contradict the map", "several places fit")
 
 
-@pytest.mark.parametrize(("seeds", "most"), [(range(5), 2), pytest.param(range(5, 29), 5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("seeds", "most"), [(range(8), 2), pytest.param(range(8, 32), 5, marks=pytest.mark.slow)])
 def test_a_robot_off_the_map_is_hardly_ever_sure(seeds: range, most: int) -> None:
     """The mirrored room has as many landmarks, but the edges are of none of them.
 
-    Of 60 robots 5 are sure at some image. More than `most` would be by chance once in a hundred.
+    Of 60 robots 7 are sure at some image. So more than `most` would be by chance once in twenty.
     """
     mirrored = replace(ROOM, points=ROOM.points * [-1.0, 1.0])
     elsewhere = replace(FILTER, landmark_map=mirrored, search=GlobalLocalisation.of(OBSERVATION, mirrored))
@@ -150,14 +154,14 @@ def another_room() -> LandmarkMap:
 
 @pytest.mark.slow  # quick: edges that show no landmark, above
 def test_a_map_that_does_not_fit_is_named() -> None:
-    """A tenth of the landmarks, mirrored: the map of another room. Half of ten are named so soon; one says little."""
+    """A tenth of the landmarks, mirrored: the map of another room. In 20 drives it was named 11 times so soon."""
 
     def warned(landmark_map: LandmarkMap, seed: int, images: int) -> bool:
         search = GlobalLocalisation.of(OBSERVATION, landmark_map, SearchParameters(particles_most=3000))
         mcl = replace(FILTER, landmark_map=landmark_map, search=search)
         return any(one.warning for one in located(drive(images, seed=seed).events, seed, mcl))
 
-    assert not warned(ROOM, 0, 150)
+    assert not any(warned(ROOM, seed, 150) for seed in range(3))
     assert sum(warned(another_room(), seed, 120) for seed in range(10)) >= 4
 
 
