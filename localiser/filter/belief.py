@@ -28,6 +28,7 @@ MOST_CARRIED = 0.9  # an image may also be blurred, or a turn missed
 PROPOSING_NOVELTY = 0.1  # scenes between images that poses are proposed from
 MOST_EFFORT = 0.4  # of a scene's, for one image while a place is tracked, so that no frame takes long
 SURELY_CARRIED = 0.5  # probability of having been carried from which on one image may do the work of a whole scene
+FIRST_EFFORT = 2.0  # for the poses that the first image proposes; a robot that looks for its place may wait
 OVERLOOKED = 0.3  # how often the poses that one image proposes miss the true one, at least
 KNOWN = 0.005  # probability of having been overlooked below which a place that was found counts as one that was stated
 NEGLIGIBLE = 1e-6  # probability of the candidates below which they are not followed
@@ -212,10 +213,11 @@ class Belief:
         new: scenes since an image proposed poses last, 0 … 1. While a place is tracked, images share the work of a
         scene in proportion to it, at most `most_effort` each. On a large map they do so when the place is known.
         """
+        is_first = not is_tracked and self.elsewhere == 0.0 and self.overlooked == 1.0
         shares = is_tracked and (self.is_known or len(search.pairs.pair) <= MANY_PAIRS)
-        effort = min(new, most_effort) if shares else 1.0
+        effort = min(new, most_effort) if shares else FIRST_EFFORT if is_first else 1.0
         proposed, hits = search.proposed(like, sighting, effort, rng)
-        missed = max(OVERLOOKED ** (effort if shares else new), float(np.exp(-hits)))
+        missed = max(OVERLOOKED ** (effort if shares or is_first else new), float(np.exp(-hits)))
         history = replace(self.history, overlooked=missed * self.history.overlooked)
         unexplored, overlooked = missed * self.unexplored, missed * self.overlooked
         belief = replace(self, unexplored=unexplored, overlooked=overlooked, history=history)

@@ -54,8 +54,6 @@ class EdgeObservation:
         """Return the edges of an image as they are compared, by the camera as it was mounted then."""
         return _frame(self, edges)
 
-    # -- likelihood -------------------------------------------------------------------------------------------------
-
     def log_likelihood(self, particles: Particles, sighting: Sighting, landmark_map: LandmarkMap) -> Array:
         """Return log p(edges | particle) (N,), relative to all edges being clutter; the inlier rate is unknown."""
         return InlierRate.unknown().log_mean(self.by_rate(particles, sighting, landmark_map))
@@ -128,8 +126,6 @@ class EdgeObservation:
         self.associate(origin, sighting, landmark_map)
         frame = self.frame(sighting.edges)
         scene_clutter(frame, [EarlierFrame(frame, origin, 0.0)])
-
-    # -- association ------------------------------------------------------------------------------------------------
 
     def associate(
         self, pose: Array, sighting: Sighting, landmark_map: LandmarkMap, cov: Array | None = None

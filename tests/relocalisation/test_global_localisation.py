@@ -354,7 +354,7 @@ def test_who_is_carried_may_be_where_nobody_looked() -> None:
     assert moved.overlooked == pytest.approx(0.9 * 0.3, abs=0.01)
 
 
-def test_an_image_of_a_search_overlooks_less_the_newer_it_is() -> None:
+def test_only_the_first_image_of_a_search_takes_twice_the_effort() -> None:
     """Also where none of its poses explains the edges."""
     driven, pose = drive(1), drive(1).truth[0]
     after_first = replace(Belief.anywhere(), overlooked=0.09)
@@ -362,7 +362,7 @@ def test_an_image_of_a_search_overlooks_less_the_newer_it_is() -> None:
         after(belief, driven.events[1], Jump(0.2), None, cloud(pose[None]))  # type: ignore[arg-type]
         for belief in (Belief.anywhere(), replace(after_first, unproposed=0.0))
     )
-    assert first.overlooked == pytest.approx(0.3)
+    assert first.overlooked == pytest.approx(0.09)
     assert second.overlooked == pytest.approx(0.09 * 0.3**0.2, rel=0.01)
 
 
