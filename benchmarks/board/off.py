@@ -50,7 +50,7 @@ def _never_carried() -> None:
 
 MECHANISMS: dict[str, Patch] = {
     "map-error": _set("filter.mcl:_map_error", lambda mcl, state, *_: state.map_error),
-    "map-decorrelation": _set("filter.map_error:LONGEST", 1.0),
+    "map-decorrelation": _set("filter.map_error:MapError.decorrelation", 1.0),
     "height": _all(
         _set("filter.mcl:_height_with_poses", lambda mcl, state, *_: state.height),
         _set("filter.mcl:_height", lambda mcl, state, *_: state.height),

@@ -17,7 +17,6 @@ from localiser.geometry import Array
 SCALES: Array = 2.0 ** np.arange(-1.0, 4.5, 0.5)  # of sigmas of 6 mm: 3 mm to 0.1 m
 SCALE_CHANGES = 0.003  # the rate, for each independent image, at which what comes into view was mapped in another way
 REPEATED = 0.5  # what an image counts for: half of its landmarks were seen before, with the same errors
-LONGEST = 4.0  # times the usual path: by then other landmarks are in view
 _PRIOR: Array = np.exp(-0.5 * np.log2(SCALES) ** 2)  # a factor of two, 1 sigma
 _PRIOR /= _PRIOR.sum()
 
@@ -37,7 +36,7 @@ class MapError:
     @property
     def decorrelation(self) -> float:
         """By how much longer errors of edges repeat than they do with a map as good as stated; 1 with a better one."""
-        return min(max(self.scale, 1.0), LONGEST)
+        return max(self.scale, 1.0)
 
     def after(self, by_scale: Array) -> MapError:
         """Return what is known after an image with log p(edges | scale) (K,)."""

@@ -11,7 +11,7 @@ from board.worlds import hours_of
 from localiser import Localiser, geometry, read_config
 from localiser.camera import Camera, Mount
 from localiser.edges import Edges
-from localiser.filter.map_error import LONGEST, SCALES, MapError
+from localiser.filter.map_error import SCALES, MapError
 from localiser.geometry import Array
 from localiser.landmarks import LandmarkMap, in_camera
 from localiser.observation import EdgeObservation, ObservationParameters, Sighting
@@ -73,7 +73,7 @@ def test_what_is_learnt_needs_more_than_one_image_and_is_forgotten() -> None:
     for _ in range(20):
         known = replace(known, novelty=0.5).after(told)
     assert known.scale > 4.0
-    assert known.decorrelation == LONGEST
+    assert known.decorrelation == known.scale
     for _ in range(2000):
         known = replace(known, novelty=0.5).after(np.zeros(len(SCALES)))
     assert 1.0 < known.scale < 1.35
