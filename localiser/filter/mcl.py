@@ -365,7 +365,7 @@ def _compared(
     if like is None and belief.candidates is not None:
         like = belief.candidates.particles
     elif like is None:  # constant errors that a robot may have of which nothing is known
-        like = Particles(POSE, np.zeros((3, 1)), np.zeros(1))
+        like = particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), mcl.parameters.start_particles, rng)
         like = mcl.motion.with_constant_errors(like) if isinstance(mcl.motion, MotionParameters) else like
     if belief.candidates is not None:
         moved = mcl.moved(belief.candidates.particles, drive.moves, rng)
