@@ -34,7 +34,7 @@ _SIGMAS = 3.0  # from which on an offset contradicts what is stated
 
 _STATED: Array = np.exp(-0.5 * (OFFSETS_M / STATED_SIGMA_M) ** 2)
 _STATED /= _STATED.sum()
-_APART_M: Array = np.linspace(-0.8, 0.8, 321)  # of two offsets
+_APART_M: Array = 2.0 * np.linspace(OFFSETS_M[0], OFFSETS_M[-1], 2 * len(OFFSETS_M) - 1)  # of two offsets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
