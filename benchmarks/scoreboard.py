@@ -12,8 +12,8 @@ Edges are found once and kept by content of image, camera and the code that find
 LOCALISER_SCOREBOARD); then only the filter runs. Finding edges and rendering are not part of the time above. Rows whose
 data (LOCALISER_DATA) is missing are left out, and named.
 
-Each figure is the median of the seeds, with the worst in brackets, or how many seeds never came to a value. Never is
-worse than any value.
+Each figure is the median of the seeds, with the worst in brackets where that differs, or how many seeds never came to a
+value. Never is worse than any value.
 
 {figures}
 

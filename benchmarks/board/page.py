@@ -70,7 +70,7 @@ def markdown(page: Page) -> str:
         "",
         f"{len(page)} situations, seeds {seeds[0]} to {seeds[-1]}, by `python benchmarks/scoreboard.py`;",
         "[CONTRIBUTING.md](../CONTRIBUTING.md) says how it is used. Each figure is the median of the seeds, with the",
-        "worst in brackets, or how many seeds never came to a value.",
+        "worst in brackets where that differs, or how many seeds never came to a value.",
         "",
     ]
     keys = {key for row in page.values() for values in row.values() for key in values}
@@ -95,13 +95,13 @@ def tables(page: Page) -> str:
 
 
 def cell(key: str, values: Sequence[float]) -> str:
-    """Return median and worst of some seeds, and how many of them never came to a value."""
+    """Return median and worst of some seeds, where that differs, and how many of them never came to a value."""
     shown = number(key, float(np.median(values)))
     never = sum(one == NEVER for one in values)
     if len(values) == 1 or never == len(values):
         return shown
     worst = f"{never} never" if never else number(key, values[int(badness(key, np.array(values)).argmax())])
-    return f"{shown} ({worst})"
+    return shown if worst == shown else f"{shown} ({worst})"
 
 
 def number(key: str, value: float) -> str:
