@@ -184,7 +184,7 @@ def small_page(rmse_m: float = 0.1) -> page.Page:
 def test_the_page_has_median_and_worst_and_counts_what_never_came() -> None:
     text = page.markdown(small_page())
     assert "| real | RMSE m | heading ° |" in text
-    assert "| a, on b | 0.1200 (0.1400) | 0.00 (0.00) |" in text
+    assert "| a, on b | 0.1200 (0.1400) | 0.00 |" in text, "the worst is left out where it does not differ"
     assert "| start unknown | never (3 never) |" in text
     assert "| wrong map | sure | sure, wrong |" in text, "what no run has is left out"
     for figure in ("rmse_m", "sure_wrong", "log_score"):
