@@ -16,7 +16,7 @@ from localiser.filter.events import SURE, MapWarning, Reason, is_near
 from localiser.filter.scene import Jump
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
-from localiser.observation import FEWEST_EDGES, DetectionRate, PlaceLandmarks, Sighting, marked_landmarks
+from localiser.observation import FEWEST_EDGES, UNKNOWN_RATE, PlaceLandmarks, Sighting, marked_landmarks
 from localiser.particles import Clusters, Estimate, Particles
 from localiser.relocalisation import BLUR_RAD, MANY_PAIRS, PLACE_POWER, Candidates, GlobalLocalisation, History, beyond
 
@@ -53,11 +53,11 @@ MISSING = 0.3  # probability of the map by near landmarks, below which they are:
 class Belief:
     """tracked, unmapped, elsewhere, unexplored, off_map: probabilities of sum 1; elsewhere is that of the candidates.
 
-    candidates: None while there are none. detections: the detection rate where the robot is tracked. unfit: progress
-    towards the warning that the map does not fit, which is given at 1. unproposed: scenes since poses were last
-    proposed, or since there was last no need to. shown: the detection rate of the landmarks that show at the tracked
-    place. support: log-likelihood of the tracked place, given these, along the last metre from which landmarks were in
-    view. is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
+    candidates: None while there are none. detections: (K,) probability of each of `DETECTION_RATES` at the tracked
+    place. unfit: progress towards the warning that the map does not fit, which is given at 1. unproposed: scenes since
+    poses were last proposed, or since there was last no need to. shown: (K,) the same of landmarks that show there.
+    support: log-likelihood of the tracked place, given these, along the last metre from which landmarks were in view.
+    is_known: whether the tracked place was stated, or found so long ago that others cannot have been overlooked.
     overlooked: probability that no image has looked at the true place since a place was last known. history: what
     recent images say of places that are proposed next. landmarks: what images showed of those of the tracked place.
     """
@@ -67,12 +67,12 @@ class Belief:
     unexplored: float
     off_map: float
     candidates: Candidates | None = None
-    detections: DetectionRate = field(default_factory=DetectionRate.unknown)
+    detections: Array = field(default_factory=lambda: UNKNOWN_RATE)
     unfit: float = 0.0
     unproposed: float = 1.0
     unmapped: float = 0.0
     support: float = 0.0
-    shown: DetectionRate = field(default_factory=DetectionRate.unknown)
+    shown: Array = field(default_factory=lambda: UNKNOWN_RATE)
     is_known: bool = True
     overlooked: float = 1.0
     history: History = field(default_factory=History)
@@ -298,7 +298,7 @@ class Belief:
         """Return the belief in which the particles that were tracked are candidates. maps: as for `found`."""
         belief = self._with(Candidates.of(cloud, self.detections), self.here)
         belief = replace(belief, tracked=0.0, unmapped=0.0, is_known=False, landmarks=self.landmarks.elsewhere(maps))
-        return replace(belief, detections=DetectionRate.unknown(), shown=DetectionRate.unknown())
+        return replace(belief, detections=UNKNOWN_RATE, shown=UNKNOWN_RATE)
 
     def places(self, tracked: Particles | None) -> tuple[Particles, Estimate, Clusters]:
         """Return the particles that the estimate is from, the estimate, and all places where the robot may be.
@@ -347,10 +347,11 @@ class Belief:
         return "this map does not fit" if self.unfit >= 1.0 or are_missing else ""
 
 
-def _rated(cloud: Particles, by_rate: Array, rate: DetectionRate, novelty: float) -> tuple[DetectionRate, float]:
+def _rated(cloud: Particles, by_rate: Array, rate: Array, novelty: float) -> tuple[Array, float]:
     """Return the detection rate after an image, and the logarithm of the mean likelihood of these particles.
 
-    by_rate: (K, N) log p(edges | particle, p_k). rate: before the image.
+    by_rate: (K, N) log p(edges | particle, p_k). rate: (K,) before the image.
     """
     weighed, log_mean = Candidates.of(cloud, rate).weighed(by_rate, novelty, needs_landmarks=False)
-    return DetectionRate(weighed.rates @ weighed.particles.weight), log_mean
+    rates = weighed.rates @ weighed.particles.weight
+    return rates / rates.sum(), log_mean

@@ -1,8 +1,8 @@
 """The inlier rate: the fraction of edges that belong to landmarks of the map, learnt while driving.
 
 Empty corridors and full bookshelves differ in it, so every image has its own. How often each rate occurs is learnt as
-the proportions of a mixture with a Dirichlet prior. So is the detection rate, by which the belief compares places: how
-many edges a landmark in view shows on average (docs/observation.md).
+the proportions of a mixture with a Dirichlet prior. The belief compares places by the detection rate: how many edges a
+landmark in view shows on average (docs/observation.md). Each place learns its own (`relocalisation.Candidates`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from localiser.geometry import Array
 _NODES = 6
 INLIER_RATES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
 DETECTION_RATES: Array = np.array([0.02, 0.06, 0.15, 0.35, 0.7, 1.3])
+UNKNOWN_RATE: Array = np.full(_NODES, 1.0 / _NODES)  # probability of each of these before any image
 PRIOR_FRAMES = 12.0  # how many frames the prior counts for: a few images alike are no reason to be sure of the next
 _PRIOR = np.full(_NODES, PRIOR_FRAMES / _NODES)
 
@@ -63,10 +64,6 @@ class InlierRate:
         joint = by_rate + np.log(self.probability)[:, None]
         responsibility = np.exp(joint - log_sum_of_rates(joint)) @ weight
         return replace(self, count=self.count + independent_frames * responsibility)
-
-
-class DetectionRate(InlierRate):
-    """The distribution of an image's detection rate. count (K,): how many images had each of `DETECTION_RATES`."""
 
 
 def log_sum_of_rates(joint: Array) -> Array:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array, Increment, between, compose, wrap_angle
 from localiser.motion import MotionModel, covariance_of
-from localiser.observation import DetectionRate, Sighting, log_sum_of_rates
+from localiser.observation import UNKNOWN_RATE, Sighting, log_sum_of_rates
 from localiser.particles import Particles, cells_of, from_gaussian, log_sum, only, systematic_resample
 
 PER_CELL = 60  # particles in each cell of floor and heading, on average
@@ -34,7 +34,6 @@ RATE_MEMORY_SCENES = 5.0  # scenes after which the detection rate may be another
 SCENES = 24  # that are kept
 MOST_LOG = 600.0  # of a probability that is still finite
 _NEVER = -500.0  # log-likelihood of a pose that is given up
-_UNKNOWN = DetectionRate.unknown()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +47,9 @@ class Candidates:
         return len(self.particles)
 
     @classmethod
-    def of(cls, particles: Particles, rate: DetectionRate = _UNKNOWN) -> Candidates:
-        """Return candidates with the same distribution of the detection rate, as it was learnt from images, if any."""
-        return cls(particles, np.tile(rate.probability[:, None], (1, len(particles))))
+    def of(cls, particles: Particles, rate: Array = UNKNOWN_RATE) -> Candidates:
+        """Return candidates with the same distribution (K,) of the detection rate, as images told it, if any did."""
+        return cls(particles, np.tile(rate[:, None], (1, len(particles))))
 
     def weighed(
         self, by_rate: Array, novelty: float, *, needs_landmarks: bool, within: Array | None = None
@@ -62,8 +61,8 @@ class Candidates:
         not on the map. within: (N,) the log-likelihood by which the particles of a cell share its weight; None: as
         by_rate says.
         """
-        unknown = _UNKNOWN.probability[:, None]
-        rates = self.rates + (1.0 - np.exp(-novelty / RATE_MEMORY_SCENES)) * (unknown - self.rates)
+        forgotten = 1.0 - np.exp(-novelty / RATE_MEMORY_SCENES)
+        rates = self.rates + forgotten * (UNKNOWN_RATE[:, None] - self.rates)
         joint = novelty * by_rate + np.log(rates)
         log_kept = np.where((by_rate == 0.0).all(axis=0), _NEVER, 0.0) if needs_landmarks else 0.0
         log_fit = log_sum_of_rates(joint)

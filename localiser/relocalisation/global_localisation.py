@@ -17,7 +17,7 @@ from pydantic import Field
 from localiser.camera import Camera
 from localiser.geometry import Array, Indices, between, compose, wrap_angle
 from localiser.landmarks import LandmarkMap
-from localiser.observation import FEWEST_EDGES, DetectionRate, EdgeObservation, Sighting
+from localiser.observation import FEWEST_EDGES, UNKNOWN_RATE, EdgeObservation, Sighting, log_sum_of_rates
 from localiser.particles import CAMERA_YAW, CELL_M, CELL_RAD, POSE, Particles, cells_of, multinomial_resample
 from localiser.relocalisation.candidates import Candidates
 from localiser.relocalisation.hypotheses import Feet, LandmarkPairs, from_bearings, from_feet, from_markers
@@ -111,7 +111,7 @@ class GlobalLocalisation:
     def log_fit(self, poses: Array, sighting: Sighting, blur_rad: float = BLUR_RAD) -> Array:
         """Return log p(edges | pose) (N,) of poses (N, 3), whatever the detection rate; the camera looks as stated."""
         particles = Particles(POSE, np.ascontiguousarray(poses.T), np.zeros(len(poses)))
-        return DetectionRate.unknown().log_mean(self.evidence(particles, sighting, blur_rad)[0])
+        return log_sum_of_rates(self.evidence(particles, sighting, blur_rad)[0] + np.log(UNKNOWN_RATE)[:, None])
 
     # -- where a robot may be that is lost ----------------------------------------------------------------------------
 
