@@ -174,7 +174,7 @@ def mechanisms(names: str) -> str:
 
 def arguments() -> argparse.Namespace:
     """Return what was asked for."""
-    figures = "\n".join(f"    {one.title:12} {one.meaning}" for one in FIGURES.values())
+    figures = "\n".join(f"    {one.title:14} {one.meaning}" for one in FIGURES.values())
     unjudged = ", ".join(one.title for one in FIGURES.values() if not one.is_judged)
     parser = argparse.ArgumentParser(
         description=(__doc__ or "").format(figures=figures, unjudged=unjudged),

@@ -109,7 +109,7 @@ def number(key: str, value: float) -> str:
     if value == NEVER:
         return "never"
     if FIGURES[key].is_rate:
-        return f"{100 * value:.1f} %"
+        return f"{100 * value:.1f}"
     return f"{value:.{FIGURES[key].digits}f}" if abs(value) < LONG else f"{value:.1e}"
 
 

@@ -177,24 +177,24 @@ FIGURES = {
     "heading_deg": Figure("heading °", f"root of the mean square of the heading error, {_SINCE}"),
     "nees": Figure("NEES", f"mean of the normalised estimation error squared, {_SINCE}; 3 if honest"),
     "found": Figure("found", "images until the first of five in succession that are right: within 0.5 m and 10°", 0, 1),
-    "sure": Figure("sure", "share of the images with p_correct above 0.9", is_rate=True, more_is_better=True),
+    "sure": Figure("sure %", "share of the images with p_correct above 0.9", is_rate=True, more_is_better=True),
     "sure_wrong": Figure(
-        "sure, wrong", "share of the images with p_correct above 0.9 that are not right", is_rate=True
+        "sure, wrong %", "share of the images with p_correct above 0.9 that are not right", is_rate=True
     ),
-    "ece": Figure("ECE", "expected calibration error of p_correct, ten bins", is_rate=True),
+    "ece": Figure("ECE %", "expected calibration error of p_correct, ten bins", is_rate=True),
     "log_score": Figure(
         "log score", "mean logarithm of the probability that was given to what is true", 3, more_is_better=True
     ),
     "warned_s": Figure("warned s", "seconds until it is said that a wrong map does not fit", 1, 0.2),
-    "warned": Figure("warned", "share of the images in which it is said that the right map does not fit", is_rate=True),
+    "warned": Figure("warned %", "share of the images in which the right map is said not to fit", is_rate=True),
     "ms": Figure("ms", "processor time of an image, mean; edges not counted", 1, is_judged=False),
-    "recall": Figure("recall", "share of the hand-labelled edges that are found", is_rate=True, more_is_better=True),
-    "precision": Figure("precision", "share of the edges found that are labelled", is_rate=True, more_is_better=True),
+    "recall": Figure("recall %", "share of the hand-labelled edges that are found", is_rate=True, more_is_better=True),
+    "precision": Figure("precision %", "share of the edges found that are labelled", is_rate=True, more_is_better=True),
     "bearing_deg": Figure("bearing °", "median error of the bearing of an edge", 3),
     "tilt_deg": Figure("tilt °", "median error of the tilt that the edges of a photograph tell"),
     "roll_deg": Figure("roll °", "median error of the roll that they tell"),
     "within_1_deg": Figure(
-        "within 1°", "share of the photographs whose tilt and roll are right to 1°", is_rate=True, more_is_better=True
+        "within 1° %", "share of the photographs whose tilt and roll are right to 1°", is_rate=True, more_is_better=True
     ),
 }
 

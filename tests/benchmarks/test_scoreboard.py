@@ -186,7 +186,7 @@ def test_the_page_has_median_and_worst_and_counts_what_never_came() -> None:
     assert "| real | RMSE m | heading ° |" in text
     assert "| a, on b | 0.1200 (0.1400) | 0.00 |" in text, "the worst is left out where it does not differ"
     assert "| start unknown | never (3 never) |" in text
-    assert "| wrong map | sure | sure, wrong |" in text, "what no run has is left out"
+    assert "| wrong map | sure % | sure, wrong % |" in text, "what no run has is left out"
     for figure in ("rmse_m", "sure_wrong", "log_score"):
         assert text.count(FIGURES[figure].meaning) == 1
     assert FIGURES["recall"].meaning not in text
