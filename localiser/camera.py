@@ -286,7 +286,7 @@ class Camera:
         tilt = self.mount.tilt_rad
         s, c = np.sin(tilt), np.cos(tilt)
         from_lean = np.full((*b.shape, 2), np.nan)
-        if abs(s) >= 1e-12:
+        if not geometry.is_level(tilt):
             per_tilt = -0.5 * np.sin(2 * b) * c / s
             from_lean = np.stack([per_tilt, geometry.bearing_per_lean(b, tilt)], axis=-1)
         # tan b = a / (c + e s). Tilt: moves c + e s by (e c - s). Roll by dρ: (a, e) -> (a + e dρ, e - a dρ).

@@ -199,7 +199,7 @@ def edges_of_segments(
         turned, shifted = readout.per_turn(ideal_px, rate)
         bearing_sigma = np.hypot(bearing_sigma, shifted * rate_sigma)
         lean_sigma, tilt_rad = np.hypot(lean_sigma, turned * rate_sigma), camera.mount.tilt_rad
-        per_lean = geometry.bearing_per_lean(bearing, tilt_rad) if abs(np.sin(tilt_rad)) > 1e-12 else np.nan
+        per_lean = np.nan if geometry.is_level(tilt_rad) else geometry.bearing_per_lean(bearing, tilt_rad)
         turn = readout.turn_sigma_rad_s, per_lean * turned, shifted
     foot_range, foot_sigma = foot_of_edges(ends_px[:, 0], camera, shown_px[:, 0])
     return Edges.from_columns(

@@ -154,7 +154,7 @@ def mount_error_of_edges(
     ideal_px = camera.ideal.pixels_from_image(ends)
     miss = nadir_miss(Segments.of_ends(ideal_px, _STRAIGHT_PX), camera, plumb_sigma_rad, lens_sigma=lens_sigma)
     sigma, tilt_rad = edges.lean_sigma, camera.mount.tilt_rad
-    if TURN_RATE in edges.common.names and tilt_rad != 0:
+    if TURN_RATE in edges.common.names and not geometry.is_level(tilt_rad):
         # An error of the turn rate turns all edges alike, so that their number does not average it.
         by_rate = edges.common.bearing_from_lean[:, edges.common.names.index(TURN_RATE)]
         turned = by_rate / geometry.bearing_per_lean(edges.bearing, tilt_rad) * edges.common.sigma_of(TURN_RATE)

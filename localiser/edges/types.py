@@ -163,7 +163,7 @@ def complete(
     tan(lean) = s tan(b) [Taylor06] eq. 7; sigma of the bearing = |J| · sigma of the lean. Nothing is filled in when the
     tilt is 0, where the two say nothing of each other.
     """
-    if abs(math.sin(tilt_rad)) < 1e-12:
+    if geometry.is_level(tilt_rad):
         return bearing, bearing_sigma, lean, lean_sigma
     no_bearing, no_lean = np.isnan(bearing), np.isnan(lean)
     full_bearing = np.where(no_bearing, geometry.bearing_from_lean(lean, tilt_rad), bearing)

@@ -63,7 +63,7 @@ class Attitude:
         """
         common, lean = edges.common, edges.lean
         bearing = edges.bearing + common.bearing_from_line[:, _OF_MOUNT] @ self.mean
-        if camera.mount.tilt_rad != 0:  # else a lean tells no bearing
+        if not geometry.is_level(camera.mount.tilt_rad):  # else a lean tells no bearing
             lean = lean + common.bearing_from_lean[:, _OF_MOUNT] @ self.mean / geometry.bearing_per_lean(
                 edges.bearing, camera.mount.tilt_rad
             )

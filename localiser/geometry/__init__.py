@@ -15,6 +15,7 @@ from localiser.geometry.poses import (
     cos_sin,
     finite_numbers,
     forward,
+    is_level,
     lean_from_bearing,
     map_from_robot,
     pose_from_ros,

@@ -121,12 +121,16 @@ def arc_motion(velocity: Array, turn: ArrayLike, duration: ArrayLike) -> Array:
 # Localisation", ICARA 2006; what only the paper needs is in `paper.slopes`
 
 
+def is_level(tilt_rad: float) -> bool:
+    """Return whether the sine of a tilt is 0, so that a lean tells no bearing."""
+    return bool(abs(np.sin(tilt_rad)) < 1e-12)
+
+
 def sin_of_tilt(tilt_rad: float) -> float:
     """Return the sine of a tilt. Raises ValueError when that is 0."""
-    sine = float(np.sin(tilt_rad))
-    if abs(sine) < 1e-12:
+    if is_level(tilt_rad):
         raise ValueError("tilt is 0: every vertical edge is vertical in the image, its slope tells no direction")
-    return sine
+    return float(np.sin(tilt_rad))
 
 
 def lean_from_bearing(bearing_rad: ArrayLike, tilt_rad: float) -> Array:
