@@ -115,6 +115,7 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
     learn_crooked: find by expectation maximisation how crooked edges are, as a factor of what is stated: walls that
     agree to hundredths of a degree tell the tilt as well as that, although none is stated to be built so.
     """
+    prior_sigma_rad = np.maximum(prior_sigma_rad, 1e-9)
     if prior_sigma_rad.max() > NEAR_RAD and len(miss.angle):
         start, narrow = _likeliest(miss, prior_sigma_rad), np.minimum(prior_sigma_rad, NEAR_RAD)
         turned = miss._replace(angle=miss.angle + miss.per_mount[:, :2] @ start)
@@ -124,7 +125,7 @@ def fit_mount(miss: NadirMiss, prior_sigma_rad: Array, *, learn_crooked: bool = 
         cov = np.asarray(np.linalg.inv(certain - np.diag(np.append(narrow, 1.0) ** -2.0) + prior), dtype=np.float64)
         begun = np.append(start, 0.0)
         return near._replace(state=begun + cov @ (certain @ near.state - prior @ begun), state_cov=cov)
-    prior_variance = np.maximum(np.append(prior_sigma_rad, 1.0), 1e-9) ** 2
+    prior_variance = np.append(prior_sigma_rad, 1.0) ** 2
     arguments = miss.angle, miss.per_mount, miss.sigma**2, miss.crooked**2, prior_variance
     state, cov, factor = compiled(mount_loop)(*arguments, _SCATTER_ITERATIONS if learn_crooked else 0)
     return MountError(state, cov, float(np.sqrt(factor)))

@@ -201,6 +201,9 @@ def test_a_vague_mount_is_found_from_wherever_it_is_stated():
         miss = nadir_miss(Segments.of_ends(ends, 0.5), stated, PLUMB_RAD)
         found = fit_mount(miss, np.deg2rad([3.0, 2.0]))
         np.testing.assert_allclose(np.rad2deg(found.mean), [-tilt_off, -roll_off], atol=0.35)
+        if roll_off == 0.0:
+            found = fit_mount(miss, np.deg2rad([3.0, 0.0]))
+            np.testing.assert_allclose(np.rad2deg(found.mean), [-tilt_off, 0.0], atol=0.35)
 
 
 @pytest.mark.parametrize("out_of_plumb_deg", [0.02, 0.5])
