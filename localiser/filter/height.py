@@ -119,7 +119,7 @@ class Height:
 def seen_from(edges: Edges, camera: Camera, offset_m: float) -> Edges:
     """Return the edges as seen from so far above the stated height."""
     stated = camera.at(edges.mount).mount
-    height_m = stated.height_m + offset_m
+    height_m = max(stated.height_m + offset_m, STEP_M)  # above the floor
     range_m = edges.foot_range_m * (height_m / stated.height_m)
     return replace(edges, mount=replace(stated, height_m=height_m), foot_range_m=range_m)
 

@@ -16,7 +16,7 @@ from localiser.edges.measure import common_error
 from localiser.evaluate import nees
 from localiser.filter import LocatedFrame, Odometry, Start, mcl
 from localiser.filter.attitude import MEMORY_M, Attitude, Level
-from localiser.filter.height import OFFSETS_M, Height
+from localiser.filter.height import OFFSETS_M, Height, seen_from
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters
@@ -144,8 +144,9 @@ def test_edges_that_tell_nothing_of_the_mount_stay_as_they_are(which: str) -> No
     assert Level(STATED, PLUMB).levelled(before, edges, path_m=0.1, novelty=1.0) == (edges, before)
 
 
-def test_a_camera_without_tilt_tells_it_by_bearings_alone() -> None:
-    camera = STATED.with_mount(tilt_rad=0.0)
+@pytest.mark.parametrize("tilt_rad", [0.0, np.sin(np.pi)])
+def test_a_camera_without_tilt_tells_it_by_bearings_alone(tilt_rad: float) -> None:
+    camera = STATED.with_mount(tilt_rad=tilt_rad)
     edges = simulated_edges(MAP, camera, drive(), np.random.default_rng(0), noise=NOISE)[0]
     edges = replace(edges, common=common_error(edges.bearing, np.zeros(len(edges)), camera, SIGMA))
     found, attitude = Level(camera, PLUMB).levelled(None, edges, path_m=0.1, novelty=1.0)
@@ -276,3 +277,5 @@ def test_edges_are_seen_from_the_height_that_was_found() -> None:
     measured = replace(edges, mount=replace(CAMERA.mount, sigma=MountSigma(height_m=0.02)))
     assert known.corrected(measured, CAMERA, is_tracked=True).mount == measured.mount, "measured for this image alone"
     assert known.corrected(measured, CAMERA, is_tracked=True).height_sigma_m == 0.02
+    low = CAMERA.with_mount(height_m=0.1)
+    assert all(seen_from(edges, low, off_m).mount.height_m > 0.0 for off_m in OFFSETS_M), "no camera is in the floor"
