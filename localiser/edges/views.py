@@ -141,6 +141,7 @@ def column_view(camera: Camera) -> ColumnView:
     tilt, focal = camera.mount.tilt_rad, camera.focal_px
     depth = np.cos(tilt) + border[:, 1] * np.sin(tilt)
     border, depth = border[depth > _LEAST_DEPTH], depth[depth > _LEAST_DEPTH]
+    border[:, 1] = border[:, 1].clip(-_STEEPEST_TANGENT, _STEEPEST_TANGENT)  # of a fisheye's corner it may be 1e16
     tangent = (border[:, 0] / depth).clip(-_STEEPEST_TANGENT, _STEEPEST_TANGENT)
     density = min(focal, _WIDEST * camera.width / float(np.ptp(tangent)))
     width = int(np.ceil(np.ptp(tangent) * density)) + 1

@@ -69,6 +69,13 @@ def test_the_remap_is_the_lens_models_to_a_table_entry(model, distortion, size):
     np.testing.assert_allclose(looked_up, exact, atol=1 / 64 + 0.01)
 
 
+@pytest.mark.parametrize("focal", [256.0, 254.0, 191.0])
+def test_a_fisheye_whose_corners_look_sideways_has_a_view_of_ordinary_size(focal):
+    camera = replace(camera_of(focal_px=focal), distortion_model="equidistant", distortion=(0.0, 0.0, 0.0, 0.0))
+    view = column_view(camera)
+    assert view.width < 3 * camera.width and view.height < 3 * camera.height
+
+
 def test_blocks_are_means_of_what_lies_between_four_pixels():
     camera = camera_of(176, 144, roll_deg=2.0)
     view, image = column_view(camera), np.random.default_rng(0).integers(0, 256, (144, 176), dtype=np.uint8)
