@@ -169,7 +169,11 @@ def predicted_lines(camera: Camera, pose: Array, ends: Array, visible: NDArray[n
     # Heights above the floor at the image's lower and upper border: the inverse of e = (c y + s d) / (c d - s y), with
     # y above the camera and d ahead. Cutting there keeps the lens polynomial where it was calibrated.
     s, c, height_m = np.sin(camera.mount.tilt_rad), np.cos(camera.mount.tilt_rad), camera.mount.height_m
-    lowest, highest = (ahead * (e * c - s) / (c + e * s) + height_m for e in camera.upright_bounds[2:])
+    # An image that reaches below the nadir point, or above the zenith, has no such height on that side.
+    lowest, highest = (
+        ahead * (e * c - s) / (c + e * s) + height_m if c + e * s > 1e-6 else np.full(len(ahead), e * np.inf)
+        for e in camera.upright_bounds[2:]
+    )
     low, high = np.maximum(bottom[:, 1], lowest), np.minimum(top[:, 1], highest)
     seen = (ahead > 0) & (high > low)
     points = np.repeat(bottom[seen][:, None, :], _FINE_STEPS, axis=1)

@@ -354,6 +354,13 @@ def test_predicted_lines_are_the_part_of_each_landmark_inside_the_image(camera: 
         assert (np.diff(line[:, 1]) < 0).all()
 
 
+def test_an_image_that_reaches_beyond_the_nadir_shows_lines() -> None:
+    steep = CAMERA.ideal.with_mount(tilt_rad=np.deg2rad(75.0))
+    ends = np.array([[[0.05, 0.0, -0.3], [0.05, 2.0, -0.3]]])
+    index, lines = predicted_lines(steep, np.zeros(3), ends, np.ones(1, dtype=bool))
+    assert list(index) == [0] and np.ptp(lines[0, :, 1]) > 20
+
+
 @pytest.mark.parametrize("camera", [CAMERA, CAMERA.ideal], ids=["lens", "pinhole"])
 def test_predicted_lines_stop_at_the_border_that_they_cross_sideways(camera: Camera) -> None:
     bearing = np.deg2rad(np.linspace(-40.0, 40.0, 161))
