@@ -22,6 +22,7 @@ GRAVITY_M_S2 = 9.80665
 _RATE_PER_SQRT_S = 2e-3  # error of the gyroscope, rad/√s
 _BIAS_RAD_S, _BIAS_PER_SQRT_S = 0.01, 1e-4  # its constant error, and how fast that walks
 _ACCELERATING, _CORRELATED_S = 0.03, 1.0  # of the robot, as a part of gravity, for about so long at a time
+_FALLING = 0.1  # of gravity, below which what is measured does not tell which way is up
 _BEGIN_NS = 50_000_000  # of the first samples that say which way is up, before the robot can have leant
 
 
@@ -32,8 +33,11 @@ def up_of(t_ns: NDArray[np.int64], rate_rad_s: Array, acceleration_m_s2: Array) 
     ROS has it. The covariance is of small turns about the sensor's axes, rad².
     """
     up, cov = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
-    first = acceleration_m_s2[: max(np.searchsorted(t_ns, t_ns[0] + _BEGIN_NS), 1)].mean(axis=0)
-    first /= max(float(np.linalg.norm(first)), 1e-9)
+    held = np.flatnonzero(np.linalg.norm(acceleration_m_s2, axis=1) >= _FALLING * GRAVITY_M_S2)
+    if not len(held):
+        raise ValueError("expected an accelerometer that measures gravity, found none of it")
+    first = acceleration_m_s2[held[t_ns[held] < t_ns[held[0]] + _BEGIN_NS]].mean(axis=0)
+    first /= np.linalg.norm(first)
     side = np.cross(first, np.eye(3)[int(np.abs(first).argmin())])
     side /= np.linalg.norm(side)
     attitude = np.array([side, np.cross(first, side), first])  # level from sensor; its heading is any
@@ -48,7 +52,7 @@ def up_of(t_ns: NDArray[np.int64], rate_rad_s: Array, acceleration_m_s2: Array) 
             q = np.repeat([_RATE_PER_SQRT_S**2 * step_s, _BIAS_PER_SQRT_S**2 * step_s], 3)
             attitude, p = attitude @ turning, f @ p @ f.T + np.diag(q)
         length = float(np.linalg.norm(acceleration_m_s2[k]))
-        if length >= 0.1 * GRAVITY_M_S2:  # else it is falling
+        if length >= _FALLING * GRAVITY_M_S2:
             x, y, z = attitude[2]
             h = np.zeros((3, 6))
             h[:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]  # the cross product with up
