@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from localiser.camera import DISTORTION_COUNTS, Camera, Mount, RollingShutter
@@ -14,6 +15,7 @@ from localiser.documents import Document, dump, is_name, load, parse, read_text,
 from localiser.errors import InputError
 from localiser.storage.files import CAMERA, inside, refuse_other
 
+MOST_LENS_OFF_PX = 0.5  # at the border of the image, where a lens model is undone
 MOST_PIXELS = 12_500_000  # cameras of robots have fewer; some 100 bytes of memory each while edges are found
 Metres = Annotated[float, Field(ge=-100, le=100)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
@@ -159,7 +161,17 @@ def camera_from_document(document: Document) -> Camera:
     model, distortion = file.distortion_model, _distortion(document, file)
     size = (file.image_width, file.image_height)
     shutter = shutter_of(file.rolling_shutter, file.image_height, document)
-    return Camera(*size, *intrinsics, Mount(**mount), model, distortion, file.camera_name, shutter)
+    camera = Camera(*size, *intrinsics, Mount(**mount), model, distortion, file.camera_name, shutter)
+    left, right = camera.upright_bounds[:2]
+    if not left < 0 < right:
+        problem = f"expected a principal point between the image's left and right border, found cx = {intrinsics[2]:g}"
+        raise document.error(("camera_matrix", "data"), problem)
+    border = camera.border_px().reshape(-1, 2)
+    off_px = float(np.abs(camera.pixels_from_image(camera.image_from_pixels(border)) - border).max())
+    if model != "equidistant" and not off_px < MOST_LENS_OFF_PX:
+        problem = f"expected a lens model that can be undone up to the image's border, found {off_px:.0f} px off there"
+        raise document.error(("distortion_coefficients", "data"), problem)
+    return camera
 
 
 def shutter_of(stated: ShutterFile | None, height: int, document: Document) -> RollingShutter | None:
