@@ -46,7 +46,7 @@ def find_edges(
     """
     parameters, camera = parameters or EdgeParameters(), camera.at(mount)
     grey = grey_image(image, camera)
-    if parameters.half_resolution:
+    if parameters.half_resolution and min(grey.shape) >= 4:
         smaller = replace(parameters, half_resolution=False, min_length_px=parameters.min_length_px / 2)
         edges = find_edges(halved(grey), half_camera(camera), smaller, twist=twist, detector=detector)
         ends_px, rejected_px = (2.0 * pixels + 0.5 for pixels in (edges.ends_px, edges.rejected_px))

@@ -102,6 +102,7 @@ def test_half_the_resolution_leaves_out_an_odd_row_and_column():
     image = wall_image(CAMERAS["tilted"], BEARINGS_DEG, GREYS)[:479, :639]
     edges = sorted_by_bearing(find_edges(image, camera, EdgeParameters(half_resolution=True)))
     np.testing.assert_allclose(np.rad2deg(edges.bearing), BEARINGS_DEG, atol=2 * TOLERANCE_DEG["columns"])
+    assert not len(find_edges(np.zeros((3, 9), np.uint8), camera_of(9, 3), EdgeParameters(half_resolution=True)))
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (480, 640, 3), (144, 176), (144, 176, 3)])
