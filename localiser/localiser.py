@@ -336,7 +336,7 @@ class Localiser:
             self.markers.after(located, self.landmark_map)
             measured = self._measured.pop(located.t_ns, None) or MeasuredImage(located.edges)
             stage_ms = measured.stage_ms | {"filter": 1e3 * (perf_counter() - begin)}
-            frame = LocatedFrame(located, located.matches, measured.image, None, stage_ms, wide_cov)
+            frame = LocatedFrame(located, measured.image, None, stage_ms, wide_cov)
             frames.append(_in_frame_of_its_map(frame, self.landmark_map))
             begin = perf_counter()
         return frames
@@ -347,7 +347,7 @@ class Localiser:
             raise InputError("expected a start before the first measurement: it cannot be found on the whole map")
         self._begin(t_ns)
         state = self.state
-        if (state.waiting and t_ns <= state.waiting[-1].t_ns) or (state.weighed and t_ns <= state.at_ns):
+        if (state.waiting and t_ns <= state.waiting[-1].t_ns) or (state.seen is not None and t_ns <= state.at_ns):
             raise InputError(f"expected a later time than that of the last {name}, found {t_ns} ns", field=name)
         if state.is_begun and t_ns < state.at_ns:
             raise InputError(f"expected a time after the start at {state.at_ns} ns, found {t_ns} ns", field=name)

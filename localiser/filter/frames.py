@@ -22,20 +22,23 @@ Image = NDArray[np.uint8] | bytes
 class LocatedFrame:
     """One image, located.
 
-    matches: which landmark each edge shows, seen from the estimate. image: None where edges were measured elsewhere.
-    truth: (3,) true pose then, where known. stage_ms: what each stage of the work took. wide_cov: (3, 3) of a pose that
-    is no ordinary one, because the robot is not found yet, or lost: it may be anywhere; None for an ordinary pose.
-    map_name: of several maps the one that the robot is most likely on, in whose frame all poses are; "" where there is
-    but one. Landmarks keep their numbers among those of all maps.
+    image: None where edges were measured elsewhere. truth: (3,) true pose then, where known. stage_ms: what each stage
+    of the work took. wide_cov: (3, 3) of a pose that is no ordinary one, because the robot is not found yet, or lost:
+    it may be anywhere; None for an ordinary pose. map_name: of several maps the one that the robot is most likely on,
+    in whose frame all poses are; "" where there is but one. Landmarks keep their numbers among those of all maps.
     """
 
     located: Located
-    matches: Matches
     image: Image | None
     truth: Array | None
     stage_ms: Mapping[str, float]
     wide_cov: Array | None = None
     map_name: str = ""
+
+    @property
+    def matches(self) -> Matches:
+        """Which landmark each edge shows, seen from the estimate."""
+        return self.located.matches
 
     @property
     def is_found(self) -> bool:

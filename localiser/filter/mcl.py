@@ -110,17 +110,16 @@ class Mcl:
 class FilterState:
     """Everything that changes during a run; with the generator it is all that must be saved to go on later.
 
-    particles: hypotheses of where the robot was at `at_ns`; None while it is not tracked. weighed: whether they have
-    been weighed by any image yet. inliers: the learnt inlier rate. belief: whether the robot is elsewhere, and where.
-    attitude: tilt and roll of the camera; None: as stated. height: of the camera. map_error: how far landmarks are from
-    where the map has them. seen: the last image. scene: the images that the belief compares the next one with. wheels:
-    whether they are right. pace: motion per second at the last image, where edges alone told it. odometry: poses
-    since then, and the last one before. waiting: sightings that odometry has not reached yet.
+    particles: hypotheses of where the robot was at `at_ns`; None while it is not tracked. inliers: the learnt inlier
+    rate. belief: whether the robot is elsewhere, and where. attitude: tilt and roll of the camera; None: as stated.
+    height: of the camera. map_error: how far landmarks are from where the map has them. seen: the last image, None
+    before the first since the start. scene: the images that the belief compares the next one with. wheels: whether they
+    are right. pace: motion per second at the last image, where edges alone told it. odometry: poses since then, and the
+    last one before. waiting: sightings that odometry has not reached yet.
     """
 
     particles: Particles | None = None
     at_ns: int = 0
-    weighed: bool = False
     inliers: InlierRate = field(default_factory=InlierRate.unknown)
     belief: Belief = field(default_factory=Belief.anywhere)
     attitude: Attitude | None = None
@@ -151,12 +150,12 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
             if isinstance(mcl.motion, MotionParameters):
                 cloud = mcl.motion.at_start(cloud, rng)
             state.begin_at(event.t_ns)
-            state.particles, state.weighed = cloud, False
+            state.particles = cloud
             # An observation of one's own cannot tell whether the robot is elsewhere.
             state.belief = Belief(0.99, 0.0, 0.01, 0.0) if mcl.search is None else Belief.stated()
         case Anywhere():
             state.begin_at(event.t_ns)
-            state.particles, state.weighed, state.pace, state.belief = None, False, None, Belief.anywhere()
+            state.particles, state.belief = None, Belief.anywhere()
         case Odometry():
             state.odometry.append(event)
         case Sighting():
@@ -224,7 +223,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     state.particles = weighed
     seconds = (sighting.t_ns - state.at_ns) / 1e9
     state.wheels = state.wheels.located(None if weighed is None or located.took_over else located.estimate, seconds)
-    state.at_ns, state.weighed, state.seen = sighting.t_ns, True, replace(sighting, clutter=clutter)
+    state.at_ns, state.seen = sighting.t_ns, replace(sighting, clutter=clutter)
     return located
 
 
@@ -280,7 +279,7 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
 def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -> _Image:
     """Return what the motion and earlier images tell of an image."""
     motion, seen, increment = mcl.motion, state.seen, drive.increment
-    novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.weighed else 1.0
+    novelty = novelty_of(increment, mcl.correlation, state.map_error.decorrelation) if state.seen is not None else 1.0
     jump, scene, attitude = Jump(novelty), state.scene, state.attitude
     if mcl.level is not None:
         edges, attitude = mcl.level.levelled(attitude, sighting.edges, increment.path_m, novelty)
@@ -300,7 +299,7 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
     """Return particles that moved, by the optimal proposal where edges guide them, and are weighed."""
     inliers, novelty, parameters = state.inliers.after(image.novelty), image.novelty, mcl.parameters
     observation, motion, sighting = mcl.observation, mcl.motion, image.sighting
-    is_guided = state.weighed and len(sighting.edges) and novelty > 0
+    is_guided = state.seen is not None and len(sighting.edges) and novelty > 0
     if isinstance(observation, EdgeObservation) and isinstance(motion, MotionParameters) and is_guided:
         *earlier, last = image.drive.moves
         cloud = mcl.moved(cloud, earlier, rng)
@@ -312,7 +311,7 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
         moved = proposal.moved(cloud, step, last, motion, rng)
     else:
         moved = mcl.moved(cloud, image.drive.moves, rng)
-    landmark_map, stage_below, is_first = mcl.landmark_map, parameters.stage_below, not state.weighed
+    landmark_map, stage_below, is_first = mcl.landmark_map, parameters.stage_below, state.seen is None
     return weighed_in_stages(
         moved, observation, sighting, landmark_map, inliers, novelty, stage_below, rng, is_first=is_first
     )
@@ -436,7 +435,7 @@ def _height_with_poses(
     That is over the poses of all particles. Edges are blurred so that a few particles are dense enough.
     """
     observation, landmarks, edges = mcl.edges, mcl.landmark_map, sighting.edges
-    is_asked = state.height.is_unknown and (not state.weighed or state.height.novelty >= LEAST_NOVELTY)
+    is_asked = state.height.is_unknown and (state.seen is None or state.height.novelty >= LEAST_NOVELTY)
     if mcl.level is None or observation is None or state.particles is None or not is_asked:
         return state.height
     have_ends = np.isfinite(edges.ends_px).all() and np.isfinite([landmarks.bottom_m, landmarks.top_m]).any()
@@ -451,14 +450,14 @@ def _height_with_poses(
         by_rate = observation.by_rate(few, replace(sighting, edges=shifted), landmarks, blur_rad)
         return float(log_sum(few.log_weight + state.inliers.after(1.0).log_mean(by_rate)))
 
-    return state.height.with_poses(log_likelihood, state.height.novelty if state.weighed else 1.0)
+    return state.height.with_poses(log_likelihood, state.height.novelty if state.seen is not None else 1.0)
 
 
 def _height(mcl: Mcl, state: FilterState, located: Located, association: Association | None, image: _Image) -> Height:
     """Return what is known of the camera's height after an image, while a place is tracked."""
     if mcl.level is None or association is None or not len(located.edges):
         return state.height
-    new = image.novelty if state.weighed else 0.0
+    new = image.novelty if state.seen is not None else 0.0
     height = replace(state.height, novelty=min(state.height.novelty + new, 1.0))
     if height.novelty < LEAST_NOVELTY or height.is_unknown or is_measured(mcl.level.camera, located.edges):
         return height

@@ -17,7 +17,6 @@ from localiser import particles
 from localiser.errors import OutputError
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
-from localiser.observation import Matches
 from localiser.storage import decode, encode
 
 IN_MEMORY = 4_000_000  # bytes, beyond which the file is written to the disk: about 400 images
@@ -28,7 +27,6 @@ class _Kept:
     """What the file has of a located image: all but the image itself."""
 
     located: Located
-    matches: Matches
     truth: Array | None
     stage_ms: dict[str, float]
     wide_cov: Array | None
@@ -52,7 +50,7 @@ class KeptFrames(Sequence[LocatedFrame]):
         clusters = located.clusters and replace(located.clusters, label=none)
         few = particles.take(located.particles, none)
         frame = replace(frame, located=replace(located, particles=few, clusters=clusters, sighting=None), image=None)
-        kept = _Kept(frame.located, frame.matches, frame.truth, dict(frame.stage_ms), frame.wide_cov, frame.map_name)
+        kept = _Kept(frame.located, frame.truth, dict(frame.stage_ms), frame.wide_cov, frame.map_name)
         try:
             self._file.seek(self._begin(len(self)))
             self._file.write(encode(kept))
@@ -73,7 +71,7 @@ class KeptFrames(Sequence[LocatedFrame]):
             return self._last
         self._file.seek(self._begin(index))
         kept: _Kept = decode(_Kept, self._file.read(self._ends[index] - self._begin(index)))
-        return LocatedFrame(kept.located, kept.matches, None, kept.truth, kept.stage_ms, kept.wide_cov, kept.map_name)
+        return LocatedFrame(kept.located, None, kept.truth, kept.stage_ms, kept.wide_cov, kept.map_name)
 
     def _begin(self, index: int) -> int:
         return self._ends[index - 1] if index else 0

@@ -167,7 +167,7 @@ def frame(second: int, p_correct: float = 0.99, error_m: float | None = None, si
         np.array([3.0, np.nan]),
     )  # fmt: skip
     truth = None if error_m is None else np.array([error_m, 0.0, 0.0])
-    return LocatedFrame(located, matches, np.full((480, 640), 128, np.uint8), truth, {})
+    return LocatedFrame(replace(located, matches=matches), np.full((480, 640), 128, np.uint8), truth, {})
 
 
 def taken(frames: list[LocatedFrame]) -> WorstMoments:

@@ -143,7 +143,8 @@ def test_matches_are_the_landmarks_that_edges_show(frames: list[LocatedFrame]) -
 
 def test_markers_go_when_nothing_matches(frames: list[LocatedFrame]) -> None:
     nothing = replace(frames[-1].matches, landmark=np.full_like(frames[-1].matches.landmark, -1))
-    (message,) = outgoing(kinds=("matches",)).image(replace(frames[-1], matches=nothing), STAMP_NS)
+    empty = replace(frames[-1], located=replace(frames[-1].located, matches=nothing))
+    (message,) = outgoing(kinds=("matches",)).image(empty, STAMP_NS)
     assert [(marker.action, len(marker.points)) for marker in read(message).markers] == [(2, 0), (2, 0)]
 
 

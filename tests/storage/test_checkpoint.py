@@ -51,7 +51,7 @@ def filter_state() -> FilterState:
     rng = np.random.default_rng(1)
     for event in (START, Odometry(0, np.zeros(3)), frame, Odometry(10**8, np.array([0.0, -0.1, 0.02])), later):
         list(step(mcl, state, event, rng))
-    assert state.waiting and state.weighed
+    assert state.waiting and state.seen is not None
     return state
 
 

@@ -44,11 +44,12 @@ def located(t_ns: int, names: tuple[str, ...] = ("x", "z", "heading")) -> Locate
         edges=Edges.from_columns(*np.full((4, 3), 0.1)),
         increment=Increment.from_mean(np.zeros(3)),
         odometry=np.array([0.1, 0.2, 0.3]),
+        matches=Matches.none(1, 0),
     )
 
 
 def frame(result: Located, truth: Array | None = None) -> LocatedFrame:
-    return LocatedFrame(result, Matches.none(len(result.edges), 0), None, truth, {})
+    return LocatedFrame(result, None, truth, {})
 
 
 def test_runs_are_numbered_and_latest_points_to_the_last(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def shown(located: Located, image: Image | None, truth: Array | None, stage_ms: 
     landmark = np.array([0, 1, -1])[: len(located.edges)]
     visible = np.array([True, True, True, False])
     matches = replace(Matches.none(len(landmark), len(visible)), landmark=landmark, visible=visible)
-    return LocatedFrame(located, matches, image, truth, stage_ms)
+    return LocatedFrame(replace(located, matches=matches), image, truth, stage_ms)
 
 
 def context(**changes: Any) -> Context:
@@ -228,7 +228,7 @@ def test_a_large_map_is_drawn_as_points(tmp_path: Path) -> None:
     )
     one = shown(frame(0)[0], None, None, STAGE_MS)
     visible = np.concatenate([one.matches.visible, np.zeros(20_000, dtype=bool)])
-    sink.frame(replace(one, matches=replace(one.matches, visible=visible)))
+    sink.frame(replace(one, located=replace(one.located, matches=replace(one.matches, visible=visible))))
     sink.close(True)
     content = read(tmp_path / "run.rrd")
     (coarse,) = content[paths.LANDMARKS]["Points3D:positions"]
