@@ -180,12 +180,12 @@ class Belief:
         The robot may be carried to another place, with that probability. The surroundings of a place that is tracked
         may cease to be mapped. Any other place may be left for where nothing is mapped, from where it may be entered.
         """
-        left, returned = novelty * LEFT * self.tracked, novelty * RETURNED * self.unmapped
-        lost, entered = novelty * RETURNED * self.unmapped, novelty * LEFT * self.off_map
-        tracked, unmapped = self.tracked - left + returned, self.unmapped + left - returned - lost
+        left, entered = novelty * LEFT * self.tracked, novelty * LEFT * self.off_map
+        returned = novelty * RETURNED * self.unmapped  # and as much is lost
+        tracked, unmapped = self.tracked - left + returned, self.unmapped + left - returned - returned
         elsewhere, stays = (1.0 - novelty * LEFT) * self.elsewhere, 1.0 - carried
         mistaken = novelty * MISTAKEN * tracked
-        enters = lost + entered + carried * (tracked - mistaken + unmapped + elsewhere)
+        enters = returned + entered + carried * (tracked - mistaken + unmapped + elsewhere)
         return replace(
             self,
             tracked=stays * (tracked - mistaken),

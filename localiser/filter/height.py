@@ -24,10 +24,11 @@ STATED_SIGMA_M = 0.03  # of a height that people measure or take from a drawing
 UNEVEN_M = 0.01  # how even a floor is between the robot and what it looks at [DIN 18202]
 MISSED_SHARES = (0.2, 0.5, 0.8, 0.95)  # how many ends of an image are not their landmark's: hidden, or cut in two
 FORGOTTEN = 1e-6  # probability, with each image, that what was learnt is wrong
-STEP_M = 0.005  # in which the height is corrected, so that what depends on it need not be worked out for every image
+# In which the height is corrected, so that what depends on it need not be worked out for every image.
+STEP_M = float(OFFSETS_M[-1] - OFFSETS_M[0]) / (len(OFFSETS_M) - 1)
 LEAST_NOVELTY = 0.2  # between images that are learnt from
 COARSE_M: Array = np.linspace(-0.2, 0.2, 17)  # the offsets that are weighed together with poses
-COARSE_SIGMA_M = 0.0125  # half of their distance, so that none falls between them
+COARSE_SIGMA_M = float(COARSE_M[-1]) / (len(COARSE_M) - 1)  # half of their distance, so that none falls between them
 UNKNOWN_SIGMA_M = 0.02  # sigma from which on they are
 IMAGE_POWER = 0.6  # of the likelihood over particles, here and where wheels are judged: edges of an image err together
 _SIGMAS = 3.0  # from which on an offset contradicts what is stated

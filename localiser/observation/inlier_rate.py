@@ -15,9 +15,9 @@ import numpy as np
 from localiser.geometry import Array
 
 # Jeffreys' prior of a rate is even in φ = asin √w; the midpoints of K even intervals of φ carry equal weights.
-_NODES = 6
-INLIER_RATES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
 DETECTION_RATES: Array = np.array([0.02, 0.06, 0.15, 0.35, 0.7, 1.3])
+_NODES = len(DETECTION_RATES)
+INLIER_RATES: Array = np.sin((np.arange(_NODES) + 0.5) * np.pi / (2 * _NODES)) ** 2
 UNKNOWN_RATE: Array = np.full(_NODES, 1.0 / _NODES)  # probability of each of these before any image
 PRIOR_FRAMES = 12.0  # how many frames the prior counts for: a few images alike are no reason to be sure of the next
 _PRIOR = np.full(_NODES, PRIOR_FRAMES / _NODES)

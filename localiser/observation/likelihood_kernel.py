@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from localiser.geometry import Array, Indices
 from localiser.geometry.angle_kernel import arctan, cos_sin_near
 from localiser.geometry.compiled import entry, inlined
+from localiser.observation.inlier_rate import INLIER_RATES
 
 LANES = 8  # float64 in a vector register
 LEAST_VECTORS = 2  # vectors, for which a vector loop is entered
 BLOCK = 64  # particles looked at together
-RATES = 6  # of each view
+RATES = len(INLIER_RATES)  # of each view
 UNKNOWN_M = 1e8  # heights beyond this are not known
 SAFE = 1e150  # a product is put aside when it grows beyond
 

@@ -53,8 +53,8 @@ def log_likelihoods(images: TwoImages, moves: Array, typical: Array, on_wall: bo
     result = np.zeros(len(moves))
     odds = np.empty(len(two.measured))
     spread_var = WALL_SPREAD**2 if on_wall else _SPREAD_VAR
-    # Of each edge as foot, and as one that hangs: bearing, |d|, slope, inverse range.
-    expected = np.empty((len(one.measured), 2, 4))
+    # Of each edge as foot, and as one that hangs: bearing, |d|, slope.
+    expected = np.empty((len(one.measured), 2, 3))
     for n in range(len(moves)):
         for e in range(len(one.measured)):
             foot = one.measured[e, 1]
@@ -62,7 +62,6 @@ def log_likelihoods(images: TwoImages, moves: Array, typical: Array, on_wall: bo
                 inverse = typical[n]
                 if not np.isnan(foot):
                     inverse = foot if reading == 0 else max(inverse, foot)
-                expected[e, reading, 3] = inverse
                 seen, distance, slope = seen_from(one.measured[e, 0], inverse, moves[n])
                 expected[e, reading, 0], expected[e, reading, 1], expected[e, reading, 2] = seen, distance, slope
         odds[:] = 0.0
@@ -85,7 +84,7 @@ def log_likelihoods(images: TwoImages, moves: Array, typical: Array, on_wall: bo
             either = (HUNG_SHARE * agreement + 1.0 - HUNG_SHARE) * _normal(miss, variance)
             if not (on_wall or np.isnan(foot)):
                 slope = expected[e, 0, 2]
-                miss = _apart(two.measured[f, 0], expected[e, 0, 0]) - slope * (foot - expected[e, 0, 3])
+                miss = _apart(two.measured[f, 0], expected[e, 0, 0]) - slope * (foot - one.measured[e, 1])
                 stands = _normal(miss, base + slope**2 * (foot_var + one.common[e, 1]))
                 either = FLOOR_SHARE * agreement * stands + (1.0 - FLOOR_SHARE) * either
             odds[f] += images.look[p] * either

@@ -73,7 +73,10 @@ def test_keys_that_ros_adds_for_stereo_are_accepted_where_they_change_nothing() 
         ({"camera_matrix": {"rows": 3, "cols": 3, "data": [1, 2]}}, "expected 3 rows, 3 cols and 9 numbers"),
         ({"camera_matrix": {"rows": 3, "cols": 3, "data": [9, 1, 9, 0, 9, 9, 0, 0, 1]}}, "expected [fx, 0, cx"),
         ({"camera_matrix": {"rows": 3, "cols": 3, "data": [-9, 0, 9, 0, 9, 9, 0, 0, 1]}}, "expected fx from 1"),
-        ({"camera_matrix": {"rows": 3, "cols": 3, "data": [99, 0, -9, 0, 99, 9, 0, 0, 1]}}, "right border, found cx = -9"),
+        (
+            {"camera_matrix": {"rows": 3, "cols": 3, "data": [99, 0, -9, 0, 99, 9, 0, 0, 1]}},
+            "right border, found cx = -9",
+        ),
         ({"distortion_coefficients": {"rows": 1, "cols": 5, "data": [-2, 0, 0, 0, 0]}}, "up to the image's border"),
         ({"camera_matrix": {"rows": 3, "cols": 3, "data": [9, 0, ".nan", 0, 9, 9, 0, 0, 1]}}, "data[2]: expected"),
     ],
