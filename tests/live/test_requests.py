@@ -92,25 +92,17 @@ def test_an_image_from_before_another_map_was_loaded_is_not_weighed_on_it(tmp_pa
     assert feed.tracker.timeline.skipped == {"before the start": 1}
 
 
-@pytest.mark.parametrize("name", ["nothing.yaml", "../other/map.yaml", "/etc/hostname", ""])
-def test_a_map_that_is_not_in_the_folder_is_not_loaded(tmp_path: Path, name: str) -> None:
-    (tmp_path / "other").mkdir()
+@pytest.mark.parametrize("name", ["nothing.yaml", "../other/map.yaml", "/etc/hostname", "", "file://none.yaml"])
+def test_a_map_that_is_none_or_not_in_the_folder_is_not_loaded(tmp_path: Path, name: str) -> None:
+    for folder in ("other", "maps"):
+        (tmp_path / folder).mkdir()
     write_map(LOG.landmark_map, tmp_path / "other" / "map.yaml")
-    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "none.yaml").write_text("format: something else\n")
     feed, _ = fed(tmp_path / "maps")
     feed([*camera(), *drive(2)])
-    kept = feed.tracker.localiser
-    assert asked(feed, "load_map", map_url=name).result == MAP_NOT_THERE
-    assert feed.tracker.localiser is kept
-
-
-def test_a_map_that_is_none_changes_nothing(tmp_path: Path) -> None:
-    (tmp_path / "map.yaml").write_text("format: something else\n")
-    feed, _ = fed(tmp_path)
-    feed([*camera(), *drive(2)])
-    kept = feed.tracker.localiser
-    assert asked(feed, "load_map", map_url="file://map.yaml").result == MAP_INVALID
-    assert feed.tracker.localiser is kept and any("the map stays" in text for text in feed.said)
+    kept, is_there = feed.tracker.localiser, name == "file://none.yaml"
+    assert asked(feed, "load_map", map_url=name).result == (MAP_INVALID if is_there else MAP_NOT_THERE)
+    assert feed.tracker.localiser is kept and any("the map stays" in text for text in feed.said) == is_there
 
 
 def test_a_map_that_is_loaded_before_the_camera_is_known_is_the_map(tmp_path: Path) -> None:
@@ -231,12 +223,8 @@ def test_a_pose_is_stated_in_the_frame_of_one_of_the_maps(files: list[Path]) -> 
 
 def test_a_list_of_maps_is_loaded_while_running(tmp_path: Path, files: list[Path]) -> None:
     write_map(read_maps(files), tmp_path / "site.yaml")
-    feed = Feed()
-    feed.run.maps = tmp_path
+    feed, _ = fed(tmp_path)
     feed([*camera(), *drive(3)])
-    replies: list[bytes] = []
-    request = service_bytes("load_map", "Request", map_url="site.yaml")
-    feed([Arrival("load_map", SERVICES["load_map"].name, request, feed.now_ns, reply=replies.append)])
-    assert service_message("load_map", "Response", replies[0]).result == MAP_LOADED
+    assert asked(feed, "load_map", map_url="site.yaml").result == MAP_LOADED
     feed([message for message in drive(3 + IMAGES) if message.at_ns > LOG.frames[2].t_ns + 60_000_000])
     assert feed.published[-1].map_name == "up stairs" and not feed.published[2].map_name

@@ -107,17 +107,21 @@ def test_when_the_wheels_are_silent_edges_tell_the_way() -> None:
     assert feed.worst_error_m() < 0.3
 
 
+def anew(messages: list[Arrival], origin: list[float], after_ns: int = 0) -> list[Arrival]:
+    """Return messages of which those of the wheels have another origin after a time."""
+    return [
+        odometry(m.at_ns, compose(np.array(origin), LOG.odometry.at(m.at_ns)))
+        if m.role == "odometry" and m.at_ns > after_ns
+        else m
+        for m in messages
+    ]
+
+
 @pytest.mark.parametrize("after_ns", [0, pytest.param(60_000_000, marks=pytest.mark.slow)])
 def test_odometry_that_begins_anew_does_not_move_the_robot(localiser: Localiser, tmp_path: Path, after_ns: int) -> None:
     """Whether an image is taken between the last pose of old and the first of new, or not."""
     feed = Feed(record=tmp_path / "drive.db3")
-    anew = [
-        odometry(m.at_ns, compose(np.array([40.0, 3.0, 2.0]), LOG.odometry.at(m.at_ns)))
-        if m.role == "odometry" and m.at_ns > LOG.frames[4].t_ns + after_ns
-        else m
-        for m in drive(12)
-    ]
-    feed([*camera(), *anew]).close()
+    feed([*camera(), *anew(drive(12), [40.0, 3.0, 2.0], LOG.frames[4].t_ns + after_ns)])
     assert len(feed.times) == 12 and feed.worst_error_m() < 0.3
     feed.assert_replays(localiser)
 
@@ -248,8 +252,8 @@ def test_what_is_said_before_the_camera_is_known_comes_before_a_saved_state(tmp_
     assert any(told in text for text in again.said) and not any("resumed" in text for text in again.said)
 
 
-@pytest.mark.parametrize("anew", [False, True])
-def test_a_run_that_is_resumed_knows_where_it_is_and_its_recording_replays(localiser, tmp_path, anew):
+@pytest.mark.parametrize("origin", [None, [50.0, 0.0, 1.0]], ids=["wheels go on", "wheels begin anew"])
+def test_a_run_that_is_resumed_knows_where_it_is_and_its_recording_replays(localiser, tmp_path, origin):
     """Without a start, after half a second without anything. Wheels that begin anew do not move the robot.
 
     The replay begins with the very particles; with other settings from about there.
@@ -258,12 +262,9 @@ def test_a_run_that_is_resumed_knows_where_it_is_and_its_recording_replays(local
     Checkpoints(tmp_path / "state", first.said.append).close(first.tracker.localiser, 0)
     again = Feed(start=None, resumed=Resumed(tmp_path / "state"), record=tmp_path / "drive.db3")
     rest = [message for message in drive(N + 6) if message.at_ns > LOG.frames[N - 1].t_ns + 60_000_000]
-    elsewhere = np.array([50.0, 0.0, 1.0]) if anew else np.zeros(3)
-    wheels = [
-        odometry(m.at_ns, compose(elsewhere, LOG.odometry.at(m.at_ns))) if m.role == "odometry" else m for m in rest
-    ]
-    again([*camera(), *wheels]).close()
-    assert any("anew" in text for text in again.said) == anew != any("in between" in text for text in again.said)
+    again([*camera(), *(anew(rest, origin) if origin else rest)])
+    told = [any(word in text for text in again.said) for word in ("anew", "in between")]
+    assert told == [origin is not None, origin is None]
     assert again.worst_error_m() < 0.3
     again.assert_replays(localiser)
     assert len(again.times) == 6

@@ -73,10 +73,8 @@ def test_a_bag_that_begins_again_begins_a_new_run_and_the_recording_replays(loca
     [
         (LOG.start, 70_000_000),
         (None, -70_000_000),
-        *(
-            pytest.param(start, ns, marks=pytest.mark.slow)
-            for start, ns in ((LOG.start, -70_000_000), (None, 70_000_000))
-        ),
+        pytest.param(LOG.start, -70_000_000, marks=pytest.mark.slow),
+        pytest.param(None, 70_000_000, marks=pytest.mark.slow),
     ],
 )
 def test_messages_and_the_clock_of_a_bag_in_a_loop_may_overtake_each_other(localiser, tmp_path, behind_ns, start):
@@ -94,9 +92,8 @@ def test_messages_and_the_clock_of_a_bag_in_a_loop_may_overtake_each_other(local
         for turn in range(4)
         for message in [*wheels, *pictures, *late]
     ]
-    feed = simulated(start=start, record=tmp_path / "drive.db3")(
-        [*camera(), *sorted(loops, key=lambda message: message.at_ns)]
-    )
+    feed = simulated(start=start, record=tmp_path / "drive.db3")
+    feed([*camera(), *sorted(loops, key=lambda message: message.at_ns)])
     stamps = [published.stamp_ns - BEGIN_NS for published in feed.published]
     first = stamps[: next(k for k in range(1, len(stamps)) if stamps[k] < stamps[k - 1])]
     for stamp_ns in first:

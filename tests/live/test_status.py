@@ -106,28 +106,21 @@ def test_the_line_says_where_the_robot_is_and_the_table_what_the_run_came_to() -
     rows = [" ".join(row.split()) for row in capture.get().splitlines()]
     assert f"images located {len(feed.published)}" in rows
     assert {"images sure 100 %", "warning: bad image 1"} <= set(rows)
-    feed.close()
 
 
 @pytest.mark.parametrize(("grey", "kind"), [(10, "dark images"), (255, "washed-out images")])
 def test_an_image_in_bad_light_is_told(grey: int, kind: str) -> None:
     size = LOG.camera.height, LOG.camera.width
     plain = cv2.imencode(".png", np.full(size, grey, dtype=np.uint8))[1].tobytes()
-    feed = Feed()
-    feed([*camera(), *drive(1)])
+    feed = Feed()([*camera(), *drive(1)])
     assert not {"dark images", "washed-out images"} & set(feed.run.outputs.monitor.wrong)
-    feed.close()
-    feed = Feed()
-    messages = drive(1)
-    feed([*camera(), *(image(one.at_ns, 0, plain) if one.role == "image" else one for one in messages)])
+    feed = Feed()([*camera(), *(image(one.at_ns, 0, plain) if one.role == "image" else one for one in drive(1))])
     assert feed.run.outputs.monitor.wrong[kind] == 1
     assert any(("is dark" if grey < 64 else "is washed out") in text for text in feed.said)
-    feed.close()
 
 
 def test_wheels_that_contradict_the_edges_are_told_with_both_motions() -> None:
-    feed = Feed()
-    feed([*camera(), *drive(2)])
+    feed = Feed()([*camera(), *drive(2)])
     monitor, said = feed.run.outputs.monitor, len(feed.said)
     assert "wheels" not in monitor.wrong
     located = monitor.newest.located
@@ -140,12 +133,10 @@ def test_wheels_that_contradict_the_edges_are_told_with_both_motions() -> None:
     monitor.located(replace(monitor.newest, located=ahead), 1.0, 1.0, None)
     assert monitor.wrong["wheels"] == 1
     assert feed.said[said:] == ["the wheels contradict the edges: 0.50 m and 0.0° instead of 0.10 m and 2.0°"]
-    feed.close()
 
 
 def test_it_is_told_that_the_pose_may_jump_and_that_it_jumped() -> None:
-    feed = Feed()
-    feed([*camera(), *drive(2)])
+    feed = Feed()([*camera(), *drive(2)])
     monitor, said = feed.run.outputs.monitor, len(feed.said)
     sure = monitor.newest
     lost = replace(sure, located=replace(sure.located, reason="several places fit"), wide_cov=np.eye(3))
@@ -156,7 +147,6 @@ def test_it_is_told_that_the_pose_may_jump_and_that_it_jumped() -> None:
         "the robot may be at another place (several places fit): the pose may jump there",
         "another place fits better: the pose jumped there",
     ]
-    feed.close()
 
 
 def test_the_way_back_is_the_way_there_mirrored() -> None:

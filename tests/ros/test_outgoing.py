@@ -19,7 +19,7 @@ from localiser.geometry import pose_from_ros
 from localiser.ros import LAYOUTS, OUTPUTS, Frames, Message, Outgoing, outputs_named
 from localiser.ros.outgoing import MOST_PARTICLES, MOST_POSES
 from localiser.storage import open_log, read_map
-from localiser.storage.bags import typestore
+from localiser.storage.bags import stamp_of, typestore
 
 LOG = open_log(CORRIDOR)
 STAMP_NS = 1_700_000_000_123_456_789
@@ -49,10 +49,6 @@ def read(message: Message) -> Any:
     return typestore(ros1=False).deserialize_cdr(message.content, OUTPUTS[message.kind].msgtype)
 
 
-def stamp_of(header: Any) -> int:
-    return header.stamp.sec * 10**9 + header.stamp.nanosec
-
-
 def test_every_kind_is_made_and_can_be_read(frames: list[LocatedFrame]) -> None:
     make = outgoing()
     made = [
@@ -72,7 +68,7 @@ def test_the_pose_is_that_of_the_estimate_with_its_covariance(frames: list[Locat
     at, turned = pose.pose.pose.position, pose.pose.pose.orientation
     found = pose_from_ros([at.x, at.y, 2 * np.arctan2(turned.z, turned.w)])
     np.testing.assert_allclose(found, frames[-1].located.estimate.pose, atol=1e-12)
-    assert (pose.header.frame_id, stamp_of(pose.header)) == ("map", STAMP_NS)
+    assert (pose.header.frame_id, stamp_of(pose)) == ("map", STAMP_NS)
     cov = np.array(pose.pose.covariance).reshape(6, 6)
     assert cov[5, 5] == pytest.approx(frames[-1].located.estimate.pose_cov[2, 2])
 
@@ -91,7 +87,7 @@ def test_wheels_after_the_transform_give_the_pose(frames: list[LocatedFrame]) ->
     place = [moved.x + cos * x + sin * z, -(moved.y + sin * x - cos * z)]
     np.testing.assert_allclose(place, located.estimate.pose[:2], atol=1e-9)
     assert (stamped.header.frame_id, stamped.child_frame_id) == ("world", "wheels")
-    assert stamp_of(stamped.header) == STAMP_NS + 50_000_000
+    assert stamp_of(stamped) == STAMP_NS + 50_000_000
 
 
 def test_the_transform_is_held_back_while_the_pose_is_more_likely_wrong(frames: list[LocatedFrame]) -> None:
