@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from rosbags import rosbag1, rosbag2
 
 from localiser.storage.bags import Messages, RosType
 from localiser.storage.bags.bag import Bag
 
+KINDS = pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
+NAMES = {"mcap": "bag", "sqlite3": "bag", "ros1": "x.bag"}
 WIDTH, HEIGHT = 8, 6
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # quaternion of an optical frame that looks straight ahead, tilted by nothing
 
@@ -39,6 +42,11 @@ class Recorder:
         fields = {"width": WIDTH, "height": HEIGHT, "encoding": "mono8", "step": WIDTH, "data": grey.ravel()} | fields
         recorded = t_ns if recorded_ns is None else recorded_ns
         self.send(topic, RosType.IMAGE, recorded, header=self.header(t_ns, "optical"), **fields)
+
+    def images(self, count: int = 4, **fields: Any) -> None:
+        """Write images, ten a second."""
+        for step in range(count):
+            self.image(step * 10**8, **fields)
 
     def compressed(self, t_ns: int, data: bytes, topic: str = "/cam/image/compressed") -> None:
         pixels = np.frombuffer(data, dtype=np.uint8)

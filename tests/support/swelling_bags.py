@@ -19,12 +19,7 @@ MB = 2**20
 
 def clean(path: Path) -> Path:
     """Make a bag that is as it should be."""
-    return bag(path, _few_images, "sqlite3")
-
-
-def _few_images(recorder: Recorder) -> None:
-    for step in range(4):
-        recorder.image(step * 10**8)
+    return bag(path, Recorder.images, "sqlite3")
 
 
 def _ros1(path: Path, swell: Callable[[bytes], bytes], squeeze: str = "lz4", chunks: int = 1) -> Path:
@@ -36,8 +31,7 @@ def _ros1(path: Path, swell: Callable[[bytes], bytes], squeeze: str = "lz4", chu
     with writer:
         recorder = Recorder(writer, ros1=True)
         recorder.setting()
-        for step in range(chunks):
-            recorder.image(step * 10**8)
+        recorder.images(chunks)
     return path.with_suffix(".bag")
 
 

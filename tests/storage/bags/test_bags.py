@@ -13,16 +13,13 @@ import pytest
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import QosDurability
 from rosbags.typesys import get_types_from_msg
-from small_bag import HEIGHT, OPTICAL, WIDTH, Recorder, bag, recording
+from small_bag import HEIGHT, KINDS, NAMES, OPTICAL, WIDTH, Recorder, bag, recording
 from small_log import write_edge_log, write_small_log
 
 from localiser.camera import Camera, RollingShutter
 from localiser.errors import InputError, InputWarning, OutputError
 from localiser.storage import ImageEvent, Log, open_log, write_bag
 from localiser.storage.maps import map_data
-
-KINDS = pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
-NAMES = {"mcap": "bag", "sqlite3": "bag", "ros1": "x.bag"}
 
 
 def images(log: Log) -> list[tuple[int, bytes]]:
@@ -145,7 +142,7 @@ def test_headers_without_stamps_are_told_and_times_of_recording_taken_if_asked(t
 def test_poses_of_a_lost_robot_are_left_out_and_counted(tmp_path: Path) -> None:
     def record(lost: int) -> Callable[[Recorder], None]:
         def lose(recorder: Recorder) -> None:
-            record_images(recorder)
+            recorder.images()
             for step in range(lost):
                 recorder.odometry(2 * 10**9 + step, np.nan if step % 2 else 0.0, w=0.0)
 
@@ -169,37 +166,30 @@ def test_times_that_ros_has_not_are_refused(tmp_path: Path) -> None:
 # -- topics -----------------------------------------------------------------------------------------------------------
 
 
-def record_images(recorder: Recorder) -> None:
-    for step in range(3):
-        recorder.image(step * 10**8)
+DEEP: dict[str, Any] = {"step": 2 * WIDTH, "data": np.zeros(2 * WIDTH * HEIGHT, np.uint8)}
 
 
-def test_ground_truth_is_told_by_its_name(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry"])
+@pytest.mark.parametrize(
+    "name", ["/vicon/robot/robot", "/gt", "/ground_truth/pose", "/robot/groundtruth", "/ground_truth/odom"]
+)
+def test_truth_is_told_by_its_name_and_of_any_type_of_poses(tmp_path: Path, kind: str, name: str) -> None:
     def record(recorder: Recorder) -> None:
-        record_images(recorder)
-        recorder.odometry(0, 5.0, topic="/ground_truth/odom")
-        recorder.odometry(10**8, 6.0, topic="/ground_truth/odom")
-
-    log = open_log(bag(tmp_path / "bag", record))
-    np.testing.assert_allclose(log.groundtruth.poses[:, 0], [5.0, 6.0])
-    np.testing.assert_allclose(log.odometry.poses[:, 0], np.arange(11) * 0.01)
-
-
-@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped", "TransformStamped"])
-@pytest.mark.parametrize("name", ["/vicon/robot/robot", "/gt", "/ground_truth/pose", "/robot/groundtruth"])
-def test_truth_may_be_of_any_type_of_poses(tmp_path: Path, kind: str, name: str) -> None:
-    def record(recorder: Recorder) -> None:
-        record_images(recorder)
+        recorder.images()
         for step in range(3):
-            recorder.pose(step * 10**8, 5.0 + step, name, kind)
+            if kind == "Odometry":
+                recorder.odometry(step * 10**8, 5.0 + step, topic=name)
+            else:
+                recorder.pose(step * 10**8, 5.0 + step, name, kind)
 
     log = open_log(bag(tmp_path / "bag", record))
     np.testing.assert_allclose(log.groundtruth.poses[:, 0], [5.0, 6.0, 7.0])
+    np.testing.assert_allclose(log.odometry.poses[:, 0], np.arange(11) * 0.01)
 
 
 def test_truth_may_be_a_frame_and_what_is_not_used_is_named(tmp_path: Path) -> None:
     def record(recorder: Recorder) -> None:
-        record_images(recorder)
+        recorder.images()
         for step in range(3):
             recorder.transform("world", "mocap/robot", (5.0 + step, 0.0, 0.0), topic="/tf", t_ns=step * 10**8)
             for name in ("/vicon/one", "/vicon/two"):
@@ -223,9 +213,8 @@ def test_a_strangers_topics_are_found_by_type_and_the_choice_is_told(tmp_path: P
             recorder.image(step * 10**8, topic="/depth_cam/rgb/picture")
             recorder.compressed(step * 10**8, bytes(file), topic="/depth_cam/rgb/picture/compressed")
             recorder.compressed(step * 10**8, bytes(file), topic="/robot1/localiser/image/compressed")
-            deep = {"step": 2 * WIDTH, "data": np.zeros(2 * WIDTH * HEIGHT, np.uint8)}
-            recorder.image(step * 10**8, topic="/depth_cam/depth/picture", encoding="16UC1", **deep)
-            recorder.image(step * 10**8, topic="/depth_cam/far", encoding="32FC1", **deep)
+            recorder.image(step * 10**8, topic="/depth_cam/depth/picture", encoding="16UC1", **DEEP)
+            recorder.image(step * 10**8, topic="/depth_cam/far", encoding="32FC1", **DEEP)
 
     path = bag(tmp_path / "bag", record)
     with pytest.warns(InputWarning, match="taken: image /depth_cam/rgb/picture, odometry /odom, .*above base_link"):
@@ -233,13 +222,9 @@ def test_a_strangers_topics_are_found_by_type_and_the_choice_is_told(tmp_path: P
 
 
 def test_depth_is_never_proposed(tmp_path: Path) -> None:
-    def record(recorder: Recorder) -> None:
-        for step in range(3):
-            deep = {"step": 2 * WIDTH, "data": np.zeros(2 * WIDTH * HEIGHT, np.uint8)}
-            recorder.image(step * 10**8, topic="/depth/image_rect_raw", encoding="16UC1", **deep)
-
+    depth = {"topic": "/depth/image_rect_raw", "encoding": "16UC1", **DEEP}
     with pytest.raises(InputError, match=r"expected a topic of .*Image"):
-        open_log(bag(tmp_path / "bag", record))
+        open_log(bag(tmp_path / "bag", lambda recorder: recorder.images(**depth)))
 
 
 def test_transforms_of_old_bags_are_transforms(tmp_path: Path) -> None:
@@ -254,7 +239,7 @@ def test_transforms_of_old_bags_are_transforms(tmp_path: Path) -> None:
 
 def test_several_topics_are_listed_with_the_option_that_chooses(tmp_path: Path) -> None:
     def record(recorder: Recorder) -> None:
-        record_images(recorder)
+        recorder.images()
         recorder.odometry(0, 5.0, topic="/wheel/odom")
         recorder.odometry(10**8, 6.0, topic="/wheel/odom")
 
@@ -272,7 +257,7 @@ def test_several_topics_are_listed_with_the_option_that_chooses(tmp_path: Path) 
 
 def test_the_camera_info_beside_the_image_is_taken(tmp_path: Path) -> None:
     def record(recorder: Recorder) -> None:
-        record_images(recorder)
+        recorder.images()
         recorder.info(topic="/other/camera_info", focal=99.0)
 
     assert open_log(bag(tmp_path / "bag", record)).camera.fx == 10.0
@@ -288,7 +273,7 @@ def test_the_camera_info_beside_the_image_is_taken(tmp_path: Path) -> None:
 )
 def test_topics_that_are_not_there(tmp_path: Path, topics: dict[str, str], problem: str) -> None:
     with pytest.raises(InputError, match=problem):
-        open_log(bag(tmp_path / "bag", record_images), topics=topics)
+        open_log(bag(tmp_path / "bag", Recorder.images), topics=topics)
 
 
 def test_a_bag_without_images_lists_what_it_has(tmp_path: Path) -> None:
@@ -327,18 +312,14 @@ def decoded(tmp_path: Path, **fields: object) -> np.ndarray:
         ("rgb8", COLOUR[..., ::-1]),
         ("bgra8", np.dstack([COLOUR, COLOUR[..., 0]])),
         ("rgba8", np.dstack([COLOUR[..., ::-1], COLOUR[..., 0]])),
+        ("mono8", COLOUR[..., 1]),
     ],
 )
 @pytest.mark.parametrize("padding", [0, 5])
-def test_colour_images_keep_every_pixel(tmp_path: Path, encoding: str, pixels: np.ndarray, padding: int) -> None:
+def test_raw_images_keep_every_pixel(tmp_path: Path, encoding: str, pixels: np.ndarray, padding: int) -> None:
     rows = np.pad(pixels.reshape(HEIGHT, -1), ((0, 0), (0, padding)), constant_values=7)
     found = decoded(tmp_path, encoding=encoding, step=rows.shape[1], data=rows.ravel())
-    np.testing.assert_array_equal(found, COLOUR)
-
-
-def test_grey_images_keep_every_pixel(tmp_path: Path) -> None:
-    grey = np.ascontiguousarray(COLOUR[..., 1])
-    np.testing.assert_array_equal(decoded(tmp_path, data=grey.ravel()), grey)
+    np.testing.assert_array_equal(found, COLOUR if pixels.ndim == 3 else pixels)
 
 
 @pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
@@ -560,7 +541,7 @@ def test_binning_is_refused(tmp_path: Path) -> None:
         recorder.mount()
         recorder.info(10**9, binning_x=2)
         recorder.odometry(0)
-        record_images(recorder)
+        recorder.images()
     with pytest.raises(InputError, match="/cam/camera_info: binning: expected images of the whole sensor"):
         open_log(tmp_path / "bag")
 

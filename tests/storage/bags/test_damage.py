@@ -34,8 +34,7 @@ FILES = {"mcap": "bag.mcap", "sqlite3": "bag.db3", "ros1": "bag.bag", "metadata"
 
 
 def record(recorder: Recorder) -> None:
-    for step in range(4):
-        recorder.image(step * 10**8)
+    recorder.images()
     recorder.odometry(0, 5.0, topic="/ground_truth/odom")
     recorder.odometry(10**8, 6.0, topic="/ground_truth/odom")
     recorder.send("/localiser/log", RosType.TEXT, 0, data="format: localiser-bag/1\nname: x\n")
@@ -69,11 +68,11 @@ def not_hanging(seconds: int = 20) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def outcome(path: Path) -> str:
+def outcome(path: Path, topics: dict[str, str] | None = None) -> str:
     """Read a bag with all its images; return "read", or "refused" with a message that a person can read."""
     try:
         with not_hanging():
-            for frame in open_log(path).frames:
+            for frame in open_log(path, topics=topics).frames:
                 frame.load()
     except InputError as error:
         assert "\n" not in str(error) and len(str(error)) < 1500
@@ -196,13 +195,7 @@ def test_messages_that_changed(tmp_path: Path, msgtype: str, ros1: bool, data: s
         recorder.setting()
         record(recorder)
         recorder.compressed(0, b"\xff\xd8\xff\xc0", topic="/other/compressed")
-    topics = {"image": "/other/compressed" if msgtype == RosType.COMPRESSED else "/cam/image"}
-    try:
-        with not_hanging():
-            for frame in open_log(path, topics=topics).frames:
-                frame.load()
-    except InputError as error:
-        assert len(str(error)) < 1500
+    outcome(path, {"image": "/other/compressed" if msgtype == RosType.COMPRESSED else "/cam/image"})
 
 
 class Tampered:
@@ -253,18 +246,10 @@ def test_what_is_wrong_is_named(tmp_path: Path, change: Callable[[Recorder], Non
 # -- memory -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("mode", "squeeze"),
-    [
-        (rosbag2.CompressionMode.MESSAGE, "sqlite3"),
-        (rosbag2.CompressionMode.STORAGE, "mcap"),
-        (rosbag2.CompressionMode.FILE, "sqlite3"),
-    ],
-)
-def test_compressed_bags_are_read(tmp_path: Path, mode: rosbag2.CompressionMode, squeeze: str) -> None:
-    plugin = rosbag2.StoragePlugin.MCAP if squeeze == "mcap" else rosbag2.StoragePlugin.SQLITE3
-    writer = rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=plugin)
-    writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+@pytest.mark.parametrize(("mode", "plugin"), [("MESSAGE", "SQLITE3"), ("STORAGE", "MCAP"), ("FILE", "SQLITE3")])
+def test_compressed_bags_are_read(tmp_path: Path, mode: str, plugin: str) -> None:
+    writer = rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=rosbag2.StoragePlugin[plugin])
+    writer.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat.ZSTD)
     with writer:
         recorder = Recorder(writer, ros1=False)
         recorder.setting()

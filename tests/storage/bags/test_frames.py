@@ -10,13 +10,13 @@ import pytest
 from bounded import bounded
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_bag import OPTICAL, Recorder, recording
+from small_bag import MAKE, OPTICAL, Recorder, recording
 from small_log import CAMERA
 
 from localiser.camera import Mount
 from localiser.errors import InputError
 from localiser.storage import open_log
-from localiser.storage.bags import Messages, RosType
+from localiser.storage.bags import RosType
 from localiser.storage.bags.transforms import (
     MOST_STEPS,
     FrameTree,
@@ -41,16 +41,11 @@ mounts = st.builds(
 )
 
 
-class Stamped:
-    """A transform as a message has it."""
-
-    def __init__(self, parent: str, child: str, transform: np.ndarray) -> None:
-        self.header = type("Header", (), {"frame_id": parent})
-        self.child_frame_id = child
-        moved = dict(zip("xyz", transform[:3, 3], strict=True))
-        turned = dict(zip("xyzw", quaternion_from_rotation(transform[:3, :3]), strict=True))
-        vectors = {"translation": type("V", (), moved), "rotation": type("Q", (), turned)}
-        self.transform = type("T", (), vectors)
+def add(tree: FrameTree, parent: str, child: str, transform: np.ndarray) -> None:
+    moved = dict(zip("xyz", transform[:3, 3], strict=True))
+    turned = dict(zip("xyzw", quaternion_from_rotation(transform[:3, :3]), strict=True))
+    content = {"child_frame_id": child, "transform": {"translation": moved, "rotation": turned}}
+    tree.add_all([MAKE.make("geometry_msgs/msg/TransformStamped", header={"frame_id": parent}, **content)])
 
 
 @settings(max_examples=100)
@@ -81,10 +76,10 @@ def chain(whole: np.ndarray, rng: np.random.Generator, links: int, backwards: bo
         step[:3, 3] = rng.uniform(-1, 1, 3)
         rest = np.linalg.inv(step) @ rest
         if backwards:
-            tree.add_all([Stamped(child, parent, np.linalg.inv(step))])
+            add(tree, child, parent, np.linalg.inv(step))
         else:
-            tree.add_all([Stamped(parent, child, step)])
-    tree.add_all([Stamped(names[-2], "optical", rest)])
+            add(tree, parent, child, step)
+    add(tree, names[-2], "optical", rest)
     return tree
 
 
@@ -99,7 +94,7 @@ def test_a_mount_that_was_read_once_stays_the_same_bit_by_bit(mount: Mount) -> N
     def through_transforms(mount: Mount) -> Mount:
         camera = replace(CAMERA, mount=mount)
         tree = FrameTree()
-        tree.add_all([Stamped("base", "optical", base_from_optical(mount, camera.level_from_camera))])
+        add(tree, "base", "optical", base_from_optical(mount, camera.level_from_camera))
         return mount_of(tree, "base", "optical")
 
     once = through_transforms(mount)
@@ -173,13 +168,11 @@ def test_a_camera_that_is_hardly_above_the_floor_is_refused() -> None:
     """Its height would be rounded to nothing."""
     mount = replace(CAMERA.mount, height_m=1e-12)
     tree = FrameTree()
-    optical = base_from_optical(mount, CAMERA.level_from_camera)
-    tree.add_all([Stamped("base", "optical", optical)])
+    add(tree, "base", "optical", base_from_optical(mount, CAMERA.level_from_camera))
     with pytest.raises(ValueError, match="above the floor"):
         mount_of(tree, "base", "optical")
 
 
-MAKE = Messages()
 IMAGES = 300
 READ = """
 import sys

@@ -39,11 +39,6 @@ os._exit(9)
 """
 
 
-def images(recorder: Recorder) -> None:
-    for step in range(4):
-        recorder.image(step * 10**8)
-
-
 def states(folder: Path) -> dict[str, tuple[bytes, int]]:
     """Return what each file of a folder holds, and when that was written."""
     files = [file for file in sorted(folder.rglob("*")) if file.is_file()]
@@ -61,7 +56,7 @@ def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def hostile(tmp_path: Path) -> Path:
     """Return a folder with a bag whose journal names a file beside it."""
-    bag(tmp_path / "hostile" / "bag", images, "sqlite3")
+    bag(tmp_path / "hostile" / "bag", Recorder.images, "sqlite3")
     (tmp_path / "hostile" / "victim").write_text("mine")
     lay_journal(tmp_path / "hostile" / "bag" / "bag.db3", tmp_path / "hostile" / "victim")
     return tmp_path / "hostile"
@@ -95,7 +90,7 @@ def test_a_killed_recording_is_restored_in_a_copy(tmp_path: Path, private: Path,
 
 def test_a_journal_that_is_done_with_needs_no_copy(tmp_path, private, monkeypatch):
     """Recorders may leave an empty one, or one whose head is zero."""
-    path = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
+    path = bag(tmp_path / "bag", Recorder.images, "sqlite3") / "bag.db3"
     path.with_name("bag.db3-journal").write_bytes(bytes(600))
     path.with_name("bag.db3-wal").touch()
     monkeypatch.setattr(shutil, "copyfile", None)
@@ -103,7 +98,7 @@ def test_a_journal_that_is_done_with_needs_no_copy(tmp_path, private, monkeypatc
 
 
 def test_where_there_is_no_space_what_to_do_is_told(tmp_path, private, monkeypatch):
-    path = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
+    path = bag(tmp_path / "bag", Recorder.images, "sqlite3") / "bag.db3"
     path.with_name("bag.db3-wal").write_bytes(b"x")
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=100))
     with pytest.raises(InputError, match=r"expected \d+ bytes of space to restore .* found 100 in .*; set TMPDIR to"):
@@ -112,7 +107,7 @@ def test_where_there_is_no_space_what_to_do_is_told(tmp_path, private, monkeypat
 
 
 def test_a_bag_that_is_being_written_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
+    path = bag(tmp_path / "bag", Recorder.images, "sqlite3") / "bag.db3"
     with closing(sqlite3.connect(path)) as recorder:
         recorder.execute("PRAGMA journal_mode=WAL")
         recorder.execute("CREATE TABLE more(a)")
@@ -129,8 +124,8 @@ def test_a_bag_that_is_being_written_is_refused(tmp_path: Path, monkeypatch: pyt
             open_log(path)
 
 
-@pytest.mark.parametrize("ending", ["-journal", "-wal"])
-def test_a_recording_takes_no_place_that_something_lies_beside(tmp_path: Path, ending: str) -> None:
+@pytest.mark.parametrize("ending", ["", "-journal", "-wal"])
+def test_a_recording_takes_no_place_where_or_beside_which_something_lies(tmp_path: Path, ending: str) -> None:
     (tmp_path / f"a.db3{ending}").write_text("mine")
     with pytest.raises(OutputError, match=f"a.db3{ending}: expected a path where nothing is, found something there"):
         BagRecorder(tmp_path / "a.db3")
@@ -138,7 +133,7 @@ def test_a_recording_takes_no_place_that_something_lies_beside(tmp_path: Path, e
 
 
 def test_a_bag_reads_no_file_outside_its_folder(tmp_path: Path) -> None:
-    file = bag(tmp_path / "bag", images, "sqlite3") / "bag.db3"
+    file = bag(tmp_path / "bag", Recorder.images, "sqlite3") / "bag.db3"
     file.rename(tmp_path / "other.db3")
     file.symlink_to("../other.db3")
     with pytest.raises(InputError, match=r"relative_file_paths\[0\]: expected a path inside the log's folder, found a"):
@@ -154,10 +149,7 @@ def test_messages_come_back_in_the_order_of_calls(tmp_path: Path) -> None:
     assert texts(tmp_path / "a.db3") == list("01234")
 
 
-def test_nothing_is_overwritten_and_other_kinds_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "a.db3").write_text("mine")
-    with pytest.raises(OutputError, match="found something there"):
-        BagRecorder(tmp_path / "a.db3")
+def test_a_recording_of_another_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"ends in \.db3"):
         BagRecorder(tmp_path / "a.mcap")
 
