@@ -53,11 +53,8 @@ def test_a_log_that_has_all_is_ready(localiser: Localiser) -> None:
 
 def test_a_log_of_edges_without_a_map_lacks_that(localiser: Localiser, tmp_path: Path) -> None:
     path = write_edge_log(tmp_path / "edges")
-    (path / "log.yaml").write_text(
-        "".join(
-            line for line in (path / "log.yaml").read_text().splitlines(keepends=True) if not line.startswith("map:")
-        )
-    )
+    text = (path / "log.yaml").read_text()
+    (path / "log.yaml").write_text("".join(line for line in text.splitlines(True) if not line.startswith("map:")))
     result = localiser("doctor", path)
     assert result.exit_code == 1
     assert f"localiser map build {path} -o map.yaml" in " ".join(result.out.split())

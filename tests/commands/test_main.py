@@ -279,16 +279,28 @@ def test_bad_world_is_told_with_its_place(localiser: Localiser, tmp_path: Path) 
         (("replay", "results"), "found results of replay, the newest first: results/b/2, results/a/1"),
         (("view", "results"), "found results of replay, the newest first: results/b/2, results/a/1"),
         (("replay", CORRIDOR, "--set", "particles=500"), "unknown setting; did you mean mcl.particles?"),
+        (("doctor", "--connect", "tcp/127.0.0.1:9"), "--connect: is a setting now: --set live.connect=ENDPOINT"),
+        (("live", "--map", "map.yaml", "--namespace=robot1"), "--namespace: is a setting now: --set live.namespace="),
+        (("live", "demo", "--dds", "7"), "--dds: is a setting now: --set live.dds=DOMAIN"),
+        (("pose", "set", "1,2,3", "--ros-distro", "humble"), "--ros-distro: is the environment's ROS_DISTRO now"),
+        (("live", "--map", "map.yaml", "--resume"), "--resume: is gone: --checkpoint goes on"),
+        (("simulate", "log", "--serve", "--odometry-hz=50"), "--odometry-hz: is gone: a stand-in sends 100 poses"),
+        (("replay", "log", "--format", "bag"), "--format: is gone: the format is found out"),
+        (("camera", "tilt", "log", "--format=bag"), "--format: is gone: the format is found out"),
+        (("convert", "log", "out", "--to", "mcap"), "--to: is gone: OUT says it by .mcap"),
+        (("map", "align", "a.yaml", "b.yaml", "--force"), "--force: is gone: nothing that exists is overwritten"),
+        (("map", "deduplicate", "map.yaml"), "map deduplicate: is gone: use `localiser map merge MAP`"),
+        (("example",), "example: is gone: use `localiser demo --keep FOLDER`"),
     ],
 )
-def test_a_wrong_file_is_called_what_it_is(localiser, tmp_path, monkeypatch, words, told):
+def test_what_is_wrong_or_gone_is_told_with_what_to_do(localiser, tmp_path, monkeypatch, words, told):
     monkeypatch.chdir(tmp_path)
     Path("drive.mp4").write_bytes(b"")
     for age, run in enumerate((Path("results/b/2"), Path("results/a/1"))):
         run.mkdir(parents=True)
         (run / "trajectory.csv").write_text("")
         os.utime(run, (1e9 - age, 1e9 - age))
-    result = localiser(*words, *(["-o", "out"] if words[0] == "map" else []))
+    result = localiser(*words, *(["-o", "out"] if words[:2] == ("map", "plan") else []))
     assert result.exit_code == 2 and told in result.err
 
 
@@ -407,28 +419,6 @@ def test_a_video_whose_name_is_no_text_is_told(localiser: Localiser, tmp_path: P
     (tmp_path / f"{NO_TEXT}.avi").write_bytes(b"RIFF")
     result = localiser("convert", tmp_path / f"{NO_TEXT}.avi", tmp_path / "log", "--camera", CORRIDOR / "camera.yaml")
     assert result.exit_code == 2 and "expected a name of UTF-8 text" in result.err
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("doctor", "--connect", "tcp/127.0.0.1:9"), "--connect: is a setting now: --set live.connect=ENDPOINT"),
-        (("live", "--map", "map.yaml", "--namespace=robot1"), "--namespace: is a setting now: --set live.namespace="),
-        (("live", "demo", "--dds", "7"), "--dds: is a setting now: --set live.dds=DOMAIN"),
-        (("pose", "set", "1,2,3", "--ros-distro", "humble"), "--ros-distro: is the environment's ROS_DISTRO now"),
-        (("live", "--map", "map.yaml", "--resume"), "--resume: is gone: --checkpoint goes on"),
-        (("simulate", "log", "--serve", "--odometry-hz=50"), "--odometry-hz: is gone: a stand-in sends 100 poses"),
-        (("replay", "log", "--format", "bag"), "--format: is gone: the format is found out"),
-        (("camera", "tilt", "log", "--format=bag"), "--format: is gone: the format is found out"),
-        (("convert", "log", "out", "--to", "mcap"), "--to: is gone: OUT says it by .mcap"),
-        (("map", "align", "a.yaml", "b.yaml", "--force"), "--force: is gone: nothing that exists is overwritten"),
-        (("map", "deduplicate", "map.yaml"), "map deduplicate: is gone: use `localiser map merge MAP`"),
-        (("example",), "example: is gone: use `localiser demo --keep FOLDER`"),
-    ],
-)
-def test_an_option_that_is_gone_is_told_with_what_takes_its_place(localiser, words, told):
-    result = localiser(*words)
-    assert result.exit_code == 2 and told in result.err
 
 
 def test_quiet_may_stand_anywhere(localiser: Localiser, log: Path, tmp_path: Path) -> None:

@@ -130,6 +130,15 @@ def read(path: Path) -> dict[str, dict[str, list[Any]]]:
     return {entity: dict(columns) for entity, columns in content.items()}
 
 
+def written(path: Path, *frames: LocatedFrame, **changes: Any) -> dict[str, dict[str, list[Any]]]:
+    """Record frames; return what the recording holds."""
+    sink = RrdFile(path, context(**changes))
+    for one in frames:
+        sink.frame(one)
+    sink.close(True)
+    return read(path)
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Located], dict[str, dict[str, list[Any]]]]:
     """Return what was located, and what the recording of it holds."""
@@ -171,10 +180,7 @@ def test_every_entity_has_one_row_a_frame_on_both_time_lines(whole: Any) -> None
 
 def test_times_since_the_epoch_are_dates(tmp_path: Path) -> None:
     epoch_ns = 1_700_000_000_123_456_789
-    sink = RrdFile(tmp_path / "run.rrd", context())
-    sink.frame(shown(frame(0, t0_ns=epoch_ns)[0], None, None, {}))
-    sink.close(True)
-    (time,) = read(tmp_path / "run.rrd")[paths.ESS][paths.TIME]
+    (time,) = written(tmp_path / "run.rrd", shown(frame(0, t0_ns=epoch_ns)[0], None, None, {}))[paths.ESS][paths.TIME]
     assert time.value == epoch_ns and time.year == 2023
 
 
@@ -196,13 +202,10 @@ def test_plots_hold_error_and_three_sigma_ess_counts_and_stages(whole: Any) -> N
 
 
 def test_particles_are_all_there_or_evenly_thinned(tmp_path: Path) -> None:
-    sink = RrdFile(tmp_path / "run.rrd", context())
     counts = (300, 3 * MOST_PARTICLES + 1)
     clouds = [frame(number, particles=count)[0] for number, count in enumerate(counts)]
-    for located in clouds:
-        sink.frame(shown(located, None, None, STAGE_MS))
-    sink.close(True)
-    few, many = (np.array(rows) for rows in read(tmp_path / "run.rrd")[paths.PARTICLES]["Points3D:positions"])
+    content = written(tmp_path / "run.rrd", *(shown(located, None, None, STAGE_MS) for located in clouds))
+    few, many = (np.array(rows) for rows in content[paths.PARTICLES]["Points3D:positions"])
     assert few.shape == (300, 3)
     np.testing.assert_allclose(few[:, [0, 2]], clouds[0].particles.poses[:, :2], atol=1e-6)
     np.testing.assert_allclose(many[:, [0, 2]], clouds[1].particles.poses[::4, :2], atol=1e-6)
@@ -223,14 +226,11 @@ def test_landmarks_are_matched_expected_or_neither(whole: Any) -> None:
 
 def test_a_large_map_is_drawn_as_points(tmp_path: Path) -> None:
     points = np.concatenate([MAP.points, np.random.default_rng(0).uniform(-400, 400, (20_000, 2))])
-    sink = RrdFile(
-        tmp_path / "run.rrd", context(landmark_map=LandmarkMap.from_points(points), truth=None, images=False)
-    )
     one = shown(frame(0)[0], None, None, STAGE_MS)
     visible = np.concatenate([one.matches.visible, np.zeros(20_000, dtype=bool)])
-    sink.frame(replace(one, located=replace(one.located, matches=replace(one.matches, visible=visible))))
-    sink.close(True)
-    content = read(tmp_path / "run.rrd")
+    one = replace(one, located=replace(one.located, matches=replace(one.matches, visible=visible)))
+    large = {"landmark_map": LandmarkMap.from_points(points), "truth": None, "images": False}
+    content = written(tmp_path / "run.rrd", one, **large)
     (coarse,) = content[paths.LANDMARKS]["Points3D:positions"]
     assert 1000 < len(coarse) <= MOST_POINTS
     assert [len(strips) for strips in content[paths.MATCHED]["LineStrips3D:strips"]] == [2]
@@ -238,11 +238,8 @@ def test_a_large_map_is_drawn_as_points(tmp_path: Path) -> None:
 
 def test_image_is_a_jpeg_of_the_cameras_size_and_files_pass_through(tmp_path: Path) -> None:
     file = cv2.imencode(".png", picture()[:, :, 0])[1].tobytes()
-    sink = RrdFile(tmp_path / "run.rrd", context())
-    for number, image in enumerate([picture(), file, None]):
-        sink.frame(shown(frame(number)[0], image, None, STAGE_MS))
-    sink.close(True)
-    image = read(tmp_path / "run.rrd")[paths.IMAGE]
+    frames = [shown(frame(k)[0], image, None, STAGE_MS) for k, image in enumerate([picture(), file, None])]
+    image = written(tmp_path / "run.rrd", *frames)[paths.IMAGE]
     blobs = [bytes(row[0]) for row in image["EncodedImage:blob"] if row]
     decoded = cv2.imdecode(np.frombuffer(blobs[0], np.uint8), cv2.IMREAD_COLOR)
     assert decoded.shape == (CAMERA.height, CAMERA.width, 3)
