@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -220,8 +221,8 @@ def change(file: Path, before: str, after: str) -> None:
 
 
 @pytest.mark.parametrize("write", [write_small_log, write_edge_log])
-def test_a_copy_elsewhere_is_the_same(tmp_path: Path, write: object) -> None:
-    log = (write_small_log if write is write_small_log else write_edge_log)(tmp_path / "log")
+def test_a_copy_elsewhere_is_the_same(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+    log = write(tmp_path / "log")
     assert name_of(log) == name_of(shutil.copytree(log, tmp_path / "copy"))
 
 

@@ -14,9 +14,10 @@ from localiser.errors import InputError
 from localiser.evaluate import Track, errors_against, metrics, nees, timing_metrics
 from localiser.evaluate.accuracy import consistency_band, dead_reckoning, residual_sums
 from localiser.evaluate.metrics import Pause, find_pauses
-from localiser.geometry import Array, Trajectory, between, compose, ros_from_pose, wrap_angle
+from localiser.geometry import Array, Trajectory, between, compose, wrap_angle
 from localiser.observation import Matches
 from localiser.replay import evaluate_run
+from localiser.storage import write_tum
 
 SECOND = 1_000_000_000
 
@@ -34,12 +35,6 @@ def disturbed(trajectory: Trajectory, seed: int, sigma: tuple[float, float, floa
     return poses
 
 
-def write_tum(path: Path, t_ns: Array, poses: Array) -> None:
-    x, y, yaw = ros_from_pose(poses).T
-    zero = np.zeros(len(poses))
-    np.savetxt(path, np.stack([t_ns / 1e9, x, y, zero, zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1), "%.12f")
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_figures_are_those_of_evo(seed: int, tmp_path: Path) -> None:
     from evo.core import metrics as evo_metrics
@@ -48,8 +43,8 @@ def test_figures_are_those_of_evo(seed: int, tmp_path: Path) -> None:
 
     truth = random_trajectory(seed)
     track = Track.from_poses(truth.t_ns, disturbed(truth, seed + 100))
-    write_tum(tmp_path / "truth.tum", truth.t_ns, truth.poses)
-    write_tum(tmp_path / "run.tum", track.t_ns, track.poses)
+    write_tum(truth, tmp_path / "truth.tum")
+    write_tum(Trajectory(track.t_ns, track.poses), tmp_path / "run.tum")
     pair = sync.associate_trajectories(
         file_interface.read_tum_trajectory_file(tmp_path / "truth.tum"),
         file_interface.read_tum_trajectory_file(tmp_path / "run.tum"),
@@ -220,25 +215,20 @@ def test_a_pause_is_told_with_when_and_how_long() -> None:
     assert metrics(track, None, log="l")["pauses"] == [{"start_s": 9.0, "duration_s": 8.0}]
 
 
-def test_pauses_are_found_by_their_length() -> None:
-    t_ns = np.arange(20) * SECOND
-    sighted = np.ones(20, dtype=bool)
-    sighted[[5, 6]] = False  # 3 s from sighting to sighting: not longer than 3 s
-    assert find_pauses(t_ns, sighted) == ()
-    sighted[7] = False
-    assert find_pauses(t_ns, sighted) == (Pause(4 * SECOND, 8 * SECOND),)
-    sighted[:4] = False  # begins blind
-    assert find_pauses(t_ns, sighted) == (Pause(0, 4 * SECOND), Pause(4 * SECOND, 8 * SECOND))
-    sighted[12:] = False  # ends blind: nothing comes after
-    assert len(find_pauses(t_ns, sighted)) == 2
-    assert find_pauses(t_ns, np.zeros(20, dtype=bool)) == ()
-
-
-def test_a_pause_between_images_counts_too() -> None:
-    """Logs that hold a frame only when something was seen: the gap lies between two frames."""
-    t_ns = np.array([0, 1, 9, 10]) * SECOND
-    everything = np.ones(4, dtype=bool)
-    assert find_pauses(t_ns, everything) == (Pause(SECOND, 9 * SECOND),)
+@pytest.mark.parametrize(
+    ("images_s", "sighted_s", "pauses_s"),
+    [
+        (range(20), [*range(5), *range(7, 20)], []),  # 3 s from sighting to sighting: not longer than 3 s
+        (range(20), [*range(5), *range(8, 20)], [(4, 8)]),
+        (range(20), [4, *range(8, 20)], [(0, 4), (4, 8)]),  # begins blind
+        (range(20), [4, *range(8, 12)], [(0, 4), (4, 8)]),  # ends blind: nothing comes after
+        (range(20), [], []),
+        ([0, 1, 9, 10], [0, 1, 9, 10], [(1, 9)]),  # a log that holds a frame only when something was seen
+    ],
+)
+def test_pauses_are_found_by_their_length(images_s, sighted_s, pauses_s):
+    expected = tuple(Pause(begin * SECOND, end * SECOND) for begin, end in pauses_s)
+    assert find_pauses(np.array(images_s) * SECOND, np.isin(images_s, sighted_s)) == expected
 
 
 def test_how_sure_a_run_was_and_how_rightly() -> None:

@@ -28,11 +28,6 @@ def rendered(runs: dict[str, dict[str, Any]], width: int = 160) -> list[str]:
     return [" ".join(line.split()) for line in capture.get().splitlines() if line.strip()]
 
 
-def figures_of(runs: dict[str, dict[str, Any]], width: int = 160) -> list[str]:
-    """The same without the notes below tables."""
-    return [line for line in rendered(runs, width) if "cautious" not in line]
-
-
 def test_what_is_the_same_stands_above_the_table() -> None:
     lines = rendered({"results/house/1": run("house", "line", 0, 0.0416)})
     assert lines[0] == "log house, observation line, seed 0"
@@ -55,7 +50,7 @@ FULL: dict[str, Any] = {
 
 
 def test_with_truth_it_tells_the_same_and_the_errors() -> None:
-    lines = figures_of({"1": FULL}, width=80)
+    lines = [line for line in rendered({"1": FULL}, width=80) if "cautious" not in line]  # a note below
     assert "1 120.5 98.0 66 0.55 0.030 9.100 10.25 123.5 0.50 2 121" in lines
     assert lines[-1] == "1 0.020 0.020 10.500 10.500 10.50 10.500 0.1 100.5"
 
@@ -83,9 +78,6 @@ def test_tables_fit_the_terminal_and_break_no_word(width: int, count: int) -> No
     if count > 1:
         parts = {part for word in words for part in word.split("/")}
         assert {"slope", "corridor", "experiment", "latest"} <= parts, "names and settings are whole words"
-
-
-# -- tables that are too wide --------------------------------------------------------------------------------------
 
 
 # -- flat rows, learnt constants ---------------------------------------------------------------------------------------
