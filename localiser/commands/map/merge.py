@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import NewMap, Within
+from localiser.commands.map.options import NewMap, Within, read_one_map
 from localiser.commands.options import is_quiet, show, warn
 from localiser.errors import InputError
 
@@ -32,11 +32,11 @@ def align(
 
     from localiser.commands.map.plan import map_or_plan
     from localiser.evaluate import new_table
-    from localiser.storage import read_map, require_new_file, write_map
+    from localiser.storage import require_new_file, write_map
 
     if out is not None:
         require_new_file(out)
-    one, other = map_or_plan(first), read_map(second)
+    one, other = map_or_plan(first), read_one_map(second)
     alignment = best_fit(one, other, within)
     (x, z, heading), residual = alignment.pose, alignment.residual_m
     typer.echo(
@@ -98,7 +98,7 @@ def merge(
     """
     from localiser.commands.map.plan import map_or_plan
     from localiser.mapping import common_landmarks, fuse_maps, merge_duplicates
-    from localiser.storage import read_map, require_new_file, write_map
+    from localiser.storage import require_new_file, write_map
 
     require_new_file(out)
     one = map_or_plan(first)
@@ -109,7 +109,7 @@ def merge(
         pairs = "; ".join(f"{other} is part of {kept}" for kept, other in gone)
         text = f"{len(gone)} were there twice" + (f": {pairs}" if gone else "")
     else:
-        other = read_map(second)
+        other = read_one_map(second)
         if find_frame:
             other = best_fit(one, other, within).moved(other)
         common = common_landmarks(one, other, within)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from localiser.commands.options import progress, warn
+from localiser.errors import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,6 +25,16 @@ Picture = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="PNG", help="The picture, a new file; by default beside MAP.")
 ]
 Within = Annotated[float, typer.Option(min=1e-3, max=10.0, metavar="M", help="How near landmarks that are one lie.")]
+
+
+def read_one_map(path: Path) -> LandmarkMap:
+    """Return the landmark map of a file, also of a list of this one alone. Raises InputError for a list of several."""
+    from localiser.storage import read_map
+
+    maps = read_map(path).maps
+    if len(maps) > 1:
+        raise InputError(f"expected one map, found a list of {len(maps)}: name the one that is meant", path=path)
+    return maps[0]
 
 
 def parse_poses(poses: str) -> tuple[str | Trajectory, str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from localiser.commands.map.options import NewMap
+from localiser.commands.map.options import NewMap, read_one_map
 from localiser.commands.options import is_quiet
 from localiser.errors import InputError
 
@@ -36,9 +36,9 @@ def plan(
 
 def map_or_plan(path: Path) -> LandmarkMap:
     """Return the landmark map of a file, or of a floor plan where it is one. Raises InputError."""
-    from localiser.storage import is_plan, read_map
+    from localiser.storage import is_plan
 
-    return map_of_plan(path)[0] if is_plan(path) else read_map(path)
+    return map_of_plan(path)[0] if is_plan(path) else read_one_map(path)
 
 
 def map_of_plan(path: Path) -> tuple[LandmarkMap, FloorPlan]:

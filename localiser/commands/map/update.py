@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from localiser.commands.map.options import MapFile, NewMap, Within, edges_with_progress, parse_poses
+from localiser.commands.map.options import MapFile, NewMap, Within, edges_with_progress, parse_poses, read_one_map
 from localiser.commands.options import BagCamera, ConfigFile, Overrides, Topics, is_quiet, open_with_settings
 
 
@@ -26,10 +26,10 @@ def update(
 ) -> None:
     """Bring a MAP up to date with a LOG: landmarks that are gone are dropped, new ones added, the others refined."""
     from localiser.mapping import build_map, update_map
-    from localiser.storage import read_map, require_new_file, write_map
+    from localiser.storage import require_new_file, write_map
 
     require_new_file(out)
-    old = read_map(map_file)
+    old = read_one_map(map_file)
     recorded, settings = open_with_settings(log, config, overrides, topics, camera)
     track, source = parse_poses(poses)
     built = build_map(recorded, track, settings, edges_of=lambda log: edges_with_progress(log, settings), source=source)

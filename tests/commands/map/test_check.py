@@ -137,6 +137,17 @@ def test_maps_that_do_not_fit_are_not_merged(made: Path, tmp_path: Path) -> None
     assert not out.exists()
 
 
+def test_of_a_list_of_maps_the_one_that_is_meant_must_be_named(made: Path, tmp_path: Path) -> None:
+    site, out = tmp_path / "site.yaml", tmp_path / "out.yaml"
+    write_map(read_map(made), tmp_path / "upper.yaml")
+    site.write_text("format: localiser-site/1\nmaps: [hall.yaml, upper.yaml]\n")
+    for words in (("merge", site), ("merge", made, site), ("align", site, made), ("align", made, site)):
+        assert "expected one map, found a list of 2: name the one" in refused("map", *words, "-o", out)
+    assert "expected one map" in refused("map", "update", site, tmp_path / "no log", "-o", out)
+    site.write_text("format: localiser-site/1\nmaps: [hall.yaml]\n")
+    assert run("map", "merge", site, "-o", out).exit_code == 0 and read_map(out).ids == read_map(made).ids
+
+
 def test_a_map_exists_already(made: Path) -> None:
     before = made.read_bytes()
     assert "expected a new file" in refused("map", "merge", made, "-o", made)
