@@ -106,6 +106,16 @@ def test_sync_tells_the_offset_and_writes_a_log_without_it(localiser: Localiser,
     assert moved_ns == pytest.approx([-offset_s * 1e9] * len(moved_ns), abs=1e6)
 
 
+def test_sync_takes_each_image_as_the_camera_was_mounted(localiser, shifted, tmp_path, monkeypatch):
+    log, mounts = shutil.copytree(shifted, tmp_path / "log"), []
+    header, *rows = (log / "images.csv").read_text().splitlines()
+    (log / "images.csv").write_text("\n".join([f"{header},yaw_deg", *(f"{row},1.5" for row in rows)]) + "\n")
+    look = lambda *each, mount=None, **rest: mounts.append(mount) or find_edges(*each, mount=mount, **rest)  # noqa: E731
+    monkeypatch.setattr("localiser.edges.find_edges", look)
+    assert localiser("camera", "sync", log).exit_code == 0
+    assert mounts and all(mount.yaw_rad == pytest.approx(np.deg2rad(1.5)) for mount in mounts)
+
+
 def test_an_offset_that_nothing_tells_is_not_written(localiser: Localiser, tmp_path: Path) -> None:
     log = write_small_log(tmp_path / "log")  # two tenths of a second
     result = localiser("camera", "sync", log)

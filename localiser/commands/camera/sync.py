@@ -62,7 +62,8 @@ def sync(
 
     def edges_of(index: int) -> Edges:
         image = images[index]
-        return find_edges(image.load(), recorded.camera, settings.edges, twist=recorded.twist_at(image.t_ns))
+        twist = recorded.twist_at(image.t_ns)
+        return find_edges(image.load(), recorded.camera, settings.edges, mount=image.mount, twist=twist)
 
     times = np.array([image.t_ns for image in images])
     with progress("Looking", MOST_PAIRS) as advance:
