@@ -80,6 +80,7 @@ _POSE_RAD = np.deg2rad(0.2)  # error of the camera's direction
 _GATE_SIGMA = 3.0
 _UNKNOWN = 0.95  # existence of a landmark where the map does not state it
 _MOST_ODDS = 12.0
+_SEEN = ("landmark", "tangent", "range_m")  # columns of what is in view
 
 
 _GONE = 0.1
@@ -131,7 +132,14 @@ def existence_after(
     each, log-odds grow by ln(1 - p); p is the chance `found` that an edge that is there is found.
     """
     limits = SightParameters(length_min_px=30.0, margin_px=-10.0)
-    views = sight(camera, cameras, landmark_map, limits)
+    if sightings.mounts:
+        each = [sight(sightings.camera_at(t, camera), cameras[[t]], landmark_map, limits) for t in range(len(cameras))]
+        pose = np.repeat(np.arange(len(each)), [len(one.pose) for one in each])
+        views = replace(
+            each[0], pose=pose, **{name: np.concatenate([getattr(v, name) for v in each]) for name in _SEEN}
+        )
+    else:
+        views = sight(camera, cameras, landmark_map, limits)
     # How far from where it should be a landmark's edge may lie in each view.
     jacobian = per_point(landmark_map.points[views.landmark], cameras[views.pose])
     cov = np.nan_to_num(landmark_map.cov)[views.landmark]

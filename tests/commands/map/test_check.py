@@ -14,7 +14,9 @@ from matplotlib.figure import Figure
 from localiser.commands.map import pictures
 from localiser.geometry import pose_from_ros, robot_from_map
 from localiser.landmarks import LandmarkMap, Quality
-from localiser.mapping import FloorPlan, coverage, duplicates, in_view, join_maps
+from localiser.mapping import FloorPlan, Sightings, coverage, duplicates, in_view, join_maps
+from localiser.mapping.check import existence_after
+from localiser.mapping.landmarks import fit_landmarks
 from localiser.storage import read_map, write_camera, write_map
 
 
@@ -187,6 +189,9 @@ def test_the_walls_of_a_turned_plan_and_the_path_are_drawn_where_they_are() -> N
     assert np.ptp(without.axes[0].get_xlim()) < 1.0, "a plan without walls reaches nowhere"
 
 
+POSTS = np.array([[-0.55, -7.3], [0.5, -7.9]])
+
+
 def test_gone_and_new_landmarks(tmp_path: Path) -> None:
     """Two posts of the map stand in the corridor no more; a landmark that was often seen is not on the map yet."""
     drive = world("corridor")
@@ -194,8 +199,7 @@ def test_gone_and_new_landmarks(tmp_path: Path) -> None:
     seen = np.bincount(np.concatenate([frame.landmark_id for frame in edges]) + 1)[1:]
     missing = int(seen.argmax())
     kept = np.setdiff1d(np.arange(len(drive.landmark_map)), [missing])
-    posts = np.array([[-0.55, -7.3], [0.5, -7.9]])
-    gone = LandmarkMap.from_points(posts, ids=("post", "pole"), bottom_m=np.zeros(2), top_m=np.full(2, 1.5))
+    gone = LandmarkMap.from_points(POSTS, ids=("post", "pole"), bottom_m=np.zeros(2), top_m=np.full(2, 1.5))
     old = join_maps(drive.landmark_map.take(kept), gone)
     old = replace(old, cov=np.tile(1e-4 * np.eye(2), (len(old), 1, 1)))
     path, out = tmp_path / "old.yaml", tmp_path / "new.yaml"
@@ -216,6 +220,19 @@ def test_gone_and_new_landmarks(tmp_path: Path) -> None:
     assert often <= set(new.ids)
     assert path.read_bytes() == before
     assert "expected a new file" in refused("map", "update", path, log, "-o", out)
+
+
+def test_what_is_in_view_is_asked_of_each_image_as_the_camera_was_mounted() -> None:
+    drive = world("corridor")
+    edges, camera, cameras = drive.edges(seed=0), drive.camera, drive.camera.pose_in_map(drive.truth.poses)
+    seen, of = Sightings.from_edges(edges, camera), np.concatenate([frame.landmark_id for frame in edges])
+    built = fit_landmarks(seen, of, cameras, np.full(len(of), 1e-3))
+    posts = LandmarkMap.from_points(POSTS, bottom_m=np.zeros(2), top_m=np.full(2, 1.5))
+    fixed = existence_after(posts, seen, built, camera, cameras, 0.9)
+    moved = replace(seen, mounts=(camera.mount,) * seen.frames)
+    upwards = replace(camera, mount=replace(camera.mount, tilt_rad=-1.5))  # as it is else
+    assert existence_after(posts, moved, built, upwards, cameras, 0.9) == pytest.approx(fixed)
+    assert (fixed < 0.5).all()
 
 
 def test_a_map_of_elsewhere_is_left_alone(tmp_path: Path) -> None:
