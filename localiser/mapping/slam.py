@@ -283,7 +283,7 @@ class _Solver:
         known = Scale(float(present), float(self.stated_prior.sigma[0]))
         # A foot tells the scale only where parallax tells the distance, too.
         placed = built.parallax >= np.deg2rad(self.parameters.parallax_min_deg)
-        of = np.where((built.of >= 0) & placed[built.of], built.of, -1)
+        of = np.where(np.append(placed, False)[built.of], built.of, -1)  # -1 is none
         scale = scale_by_floor_contacts(self.sightings, of, self.smoothed.points, self.cameras, known)
         if not np.isfinite(scale.sigma):
             return self.stated_prior

@@ -191,7 +191,7 @@ def test_edges_of_a_rolling_shutter_are_kept_by_how_the_robot_moved(cache: Path)
 
 
 @pytest.mark.parametrize("poses", ["truth", "slam", "odometry"])
-@pytest.mark.parametrize("content", ["clutter", "nothing", "few frames"])
+@pytest.mark.parametrize("content", ["clutter", "nothing", "few frames", "flashes"])
 def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses: str, content: str) -> None:
     drive = world("corridor")
     edges = drive.edges(seed=0, clutter=4.0)[:40]
@@ -199,6 +199,8 @@ def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses:
         edges = [frame.take(frame.landmark_id < 0) for frame in edges]
     elif content == "nothing":
         edges = [Edges.none()] * 40
+    elif content == "flashes":  # one edge now and then, which cannot be followed
+        edges = [frame.take(np.arange(t % 15 == 0)) for t, frame in enumerate(edges)]
     else:
         edges = edges[:4]
     log, folder = edge_log(tmp_path / "log", edges), tmp_path / "out"
