@@ -200,6 +200,8 @@ def fuse_maps(first: LandmarkMap, second: LandmarkMap, pairs: NDArray[np.int64])
         return np.asarray(column)
 
     columns: dict[str, Any] = {name: newer(name, whole, seen) for name in _PLAIN}
+    crossed = columns["bottom_m"] > columns["top_m"]  # ends of two maps, which are not of one edge
+    columns["bottom_m"][crossed] = columns["top_m"][crossed] = np.nan
     columns["points"][one], columns["cov"][one] = fuse_places(first.points[one], first.cov[one], seen.points, seen.cov)
     if whole.quality is not None:
         now = seen.quality or Quality.unknown(len(seen))
@@ -216,9 +218,11 @@ def fuse_places(first: Array, cov: Array, second: Array, other_cov: Array) -> tu
     both = known & other_known
     points = np.where((known & ~other_known)[:, None], first, second)
     result = np.where((known & ~other_known)[:, None, None], cov, other_cov)
-    gain = cov[both] @ np.linalg.inv(cov[both] + other_cov[both])
+    # Places may be known exactly, also in one direction.
+    gain = cov[both] @ np.linalg.pinv(cov[both] + other_cov[both], rcond=1e-12, hermitian=True)
     points[both] = first[both] + np.einsum("kij,kj->ki", gain, second[both] - first[both])
-    result[both] = cov[both] - gain @ cov[both]
+    fused = gain @ other_cov[both]
+    result[both] = np.where(np.eye(2) > 0, np.maximum(fused, 0.0), fused)  # no variance is negative by rounding
     return points, result
 
 

@@ -262,6 +262,8 @@ def map_data(landmark_map: LandmarkMap) -> dict[str, Any]:
 def _landmark_data(landmark_map: LandmarkMap, index: int) -> dict[str, Any]:
     x, z = landmark_map.points[index]
     (xx, xz), (_, zz) = landmark_map.cov[index]
+    if xz**2 > xx * zz:  # by rounding
+        xz = math.copysign(math.sqrt(max(xx * zz, 0.0)) * (1 - 1e-12), xz)
     data: dict[str, Any] = {
         "id": landmark_map.ids[index],
         "x": float(x),

@@ -84,6 +84,18 @@ def test_an_unknown_covariance_lets_the_other_place_count() -> None:
     assert fuse_maps(built, surveyed, pairs).points[0, 0] == pytest.approx(0.1)
 
 
+def test_maps_are_read_again_though_their_ends_cross_and_their_places_are_known_exactly(tmp_path: Path) -> None:
+    cov = np.array([np.zeros((2, 2)), np.full((2, 2), 1e-4), [[1e-4, np.nextafter(1e-4, 1)], [0.0, 1e-4]]])
+    plan = LandmarkMap.from_points(np.array([[0.0, 0.0], [5.0, 0.0], [9.0, 0.0]]), bottom_m=np.array([1.5, 0.5, 0.0]))
+    plan = replace(plan, cov=cov)
+    built = replace(plan, bottom_m=np.full(3, np.nan), top_m=np.full(3, 1.0))
+    write_map(fuse_maps(plan, built, np.array([[0, 0], [1, 1]])), tmp_path / "map.yaml")
+    whole = read_map(tmp_path / "map.yaml")
+    np.testing.assert_array_equal(whole.bottom_m[:2], [np.nan, 0.5])
+    np.testing.assert_array_equal(whole.top_m[:2], [np.nan, 1.0])
+    assert whole.cov[:2] == pytest.approx(cov[:2] / 2) and whole.points[:3] == pytest.approx(plan.points)
+
+
 def test_contradictions_are_not_fused() -> None:
     light = known([[0.0, 0.0], [1.0, 0.0]], 0.01, (0, 1), polarity=np.array([1, 1], dtype=np.int8))
     dark = known([[0.0, 0.0], [1.09, 0.0]], 0.01, (0, 1), polarity=np.array([-1, 1], dtype=np.int8))
