@@ -167,10 +167,10 @@ def build_map(
     if len(logs) > 1 and poses != TRUTH:
         problem = f"expected {TRUTH} for several logs, which must share one frame, found {name!r}"
         raise InputError(problem, field="--poses")
-    seen = [_seen(each, poses, name, config, edges_of) for each in logs]
+    seen = [_seen(each, poses, config, edges_of) for each in logs]
     first, parameters, slam, probability = seen[0], config.mapping, None, None
     trajectory = first.trajectory
-    if name == SLAM:
+    if poses == SLAM:
         wheels = wheels_of(first.log.odometry, trajectory.t_ns, config.motion)
         require_sharp(first.log.path, first.sightings)
         prior = Prior.of(config.motion)
@@ -178,7 +178,7 @@ def build_map(
         trajectory = Trajectory(trajectory.t_ns, slam.poses)
         sightings, cameras, sigma, built = first.sightings, slam.cameras, slam.sigma, slam.built
     else:
-        sightings, cameras, sigma, built, probability = _along(seen, parameters, exact=name != ODOMETRY)
+        sightings, cameras, sigma, built, probability = _along(seen, parameters, exact=poses != ODOMETRY)
     names = " + ".join(each.name for each in logs)
     landmark_map = landmark_map_of(
         sightings,
@@ -233,7 +233,6 @@ class _Seen:
 def _seen(
     log: RecordedLog,
     poses: str | Trajectory,
-    name: str,
     config: BuildSettings,
     edges_of: Callable[[Any], Sequence[Edges]] | None,
 ) -> _Seen:
@@ -256,7 +255,7 @@ def _seen(
             "seen from one side only, and its distance cannot be told",
             path=log.path,
         )
-    exact = name not in (ODOMETRY, SLAM)
+    exact = poses not in (ODOMETRY, SLAM)
     turn_sigma = np.full(len(trajectory), KNOWN_TURN_RAD) if exact else turn_sigmas(trajectory, config.motion)
     edges = edges_of(log) if edges_of else edges_of_log(log, config.edges)
     sightings = Sightings.from_edges([edges[index] for index in inside], log.camera)
