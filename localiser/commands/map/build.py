@@ -64,6 +64,8 @@ def build(
     for path in (out, trajectory):
         if path is not None:
             require_new_file(path)
+    if trajectory is not None and trajectory.resolve() == out.resolve():
+        raise InputError("expected another file than that of the map, found the same", path=out, field="--trajectory")
     if len(logs) > 1 and trajectory is not None:
         raise InputError("expected one log with this option, found several", field="--trajectory")
     read = [open_with_settings(log, config, overrides, topics, camera) for log in logs]

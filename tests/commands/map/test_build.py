@@ -68,6 +68,8 @@ def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
     error = read_poses(track).poses - drive.truth.poses[:60]
     assert np.abs(error[:, :2]).max() < 0.1
     assert "expected a new file" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--trajectory", track)
+    same = ("-o", tmp_path / "b.yaml", "--trajectory", tmp_path / "b.yaml")
+    assert "--trajectory: expected another file than that of the map" in refused("map", "build", log, *same)
 
 
 def test_the_drive_of_a_map_starts_where_it_began_and_another_is_looked_for(tmp_path: Path) -> None:
