@@ -83,11 +83,15 @@ class Board:
         return BoardView(name, corners_m, corners_px) if len(corners_px) >= FEWEST_CORNERS else None
 
     def picture(self, square_px: int) -> NDArray[np.uint8]:
-        """Return the board as a picture with a white margin of half a square around it."""
+        """Return the board as a picture with a white margin of half a square around it. Raises InputError."""
         margin = round(_MARGIN_SQUARES * square_px)
         if self.kind == "charuco":
             size = (self.columns * square_px, self.rows * square_px)
-            board = np.asarray(self._charuco_board().generateImage(size, marginSize=0), dtype=np.uint8)
+            try:
+                board = np.asarray(self._charuco_board().generateImage(size, marginSize=0), dtype=np.uint8)
+            except cv2.error:  # too few pixels for a marker's cells, or one that it rounds out of its square
+                problem = f"expected markers that OpenCV can draw, such as of {0.75 * self.square_m:g} m"
+                raise InputError(f"{problem}, found {self.marker_m:g}", field="--marker-m") from None
         else:
             odd = np.add.outer(np.arange(self.rows), np.arange(self.columns)) % 2
             board = np.kron(odd, np.ones((square_px, square_px))).astype(np.uint8) * 255

@@ -262,4 +262,7 @@ def test_drawn_board_is_found_again(localiser: Localiser, tmp_path: Path) -> Non
         assert drawn.width / drawn.info["dpi"][0] * 0.0254 == pytest.approx(0.06, rel=1e-3)
     assert localiser(*draw, tmp_path / "board.png").exit_code == 2
     assert localiser(*draw, tmp_path / "board.doc").exit_code == 2
+    tiny = localiser(*draw, tmp_path / "tiny.png", "--marker-m", "0.0001")
+    assert tiny.exit_code == 2 and "--marker-m: expected markers that OpenCV can draw, such as of 0.0075" in tiny.err
+    assert not (tmp_path / "tiny.png").exists()
     assert "expected images of the board" in localiser("camera", "calibrate", *options).err
