@@ -47,6 +47,9 @@ def drive_of(world: World, rng: np.random.Generator) -> Drive:
     before_s, after_s = world.camera.camera().readout_s
     first_ns = max(round(spec.image_offset_s * 1e9), half_exposure_ns + round(-before_s * 1e9))
     last_ns = truth.t_ns[-1] - half_exposure_ns - round(after_s * 1e9)
+    if last_ns < first_ns:
+        problem = f"expected a first image by {last_ns / 1e9:g} s, as long before the end as it is exposed, found"
+        raise InputError(f"{problem} {first_ns / 1e9:g} s", field="drive.image_offset_s")
     count = int((last_ns - first_ns) * spec.image_hz / 1e9) + 1
     image_t_ns = first_ns + np.round(np.arange(count) * 1e9 / spec.image_hz).astype(np.int64)
     return Drive(truth, odometry_of(truth, world.odometry, rng), image_t_ns)

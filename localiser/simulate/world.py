@@ -202,8 +202,8 @@ class ImageSpec(Model):
 class StartSpec(Model):
     """How well the start is known: the log states the true start plus an error with these sigmas."""
 
-    sigma_m: NotNegative = 0.1
-    sigma_deg: NotNegative = 3.0
+    sigma_m: Annotated[float, Field(ge=0, le=1000)] = 0.1
+    sigma_deg: Annotated[float, Field(ge=0, le=360)] = 3.0
 
 
 # -- the building -----------------------------------------------------------------------------------------------------
@@ -253,7 +253,20 @@ class Door(Model):
     leaf: Leaf | None = None
 
 
-class Poster(Model):
+class Upright(Model):
+    """What reaches from one height to another, that of the ceiling where it is not given."""
+
+    bottom_m: NotNegative = 0.0
+    top_m: Positive | None = None
+
+    @model_validator(mode="after")
+    def _stands_upright(self) -> Upright:
+        if self.top_m is not None and self.top_m <= self.bottom_m:
+            raise ValueError(f"expected top_m above bottom_m, found {self.top_m} and {self.bottom_m}")
+        return self
+
+
+class Poster(Upright):
     """A flat picture on a wall: it has vertical edges in the image, yet no depth, so it is no landmark."""
 
     at_m: Positive
@@ -295,7 +308,7 @@ class Wall(Model):
         return self
 
 
-class Post(Model):
+class Post(Upright):
     """A pillar: a regular polygon of 3 to 8 sides with this circumscribed diameter (4 sides: width_m is the side)."""
 
     x: Metres
@@ -303,12 +316,10 @@ class Post(Model):
     width_m: Positive
     sides: Annotated[int, Field(ge=3, le=8)] = 4
     rotation_deg: Degrees = 0.0
-    bottom_m: NotNegative = 0.0
-    top_m: Positive | None = None
     material: str
 
 
-class Box(Model):
+class Box(Upright):
     """A piece of furniture, or a part of one: an upright block, turned anticlockwise about its middle."""
 
     x: Metres
@@ -316,15 +327,8 @@ class Box(Model):
     width_m: Positive
     depth_m: Positive
     rotation_deg: Degrees = 0.0
-    bottom_m: NotNegative = 0.0
     top_m: Positive
     material: str
-
-    @model_validator(mode="after")
-    def _stands_upright(self) -> Box:
-        if self.top_m <= self.bottom_m:
-            raise ValueError(f"expected top_m above bottom_m, found {self.top_m} and {self.bottom_m}")
-        return self
 
 
 class Surface(Model):
@@ -371,7 +375,13 @@ class World(Model):
     start: StartSpec = StartSpec()
 
     @model_validator(mode="after")
-    def _is_not_too_much(self) -> World:
+    def _fits_together(self) -> World:
+        below_ceiling = ("height_m", 1e-3, self.ceiling_m - 1e-3)
+        for name, low, high in (("tilt_deg", -45, 60), ("roll_deg", -45, 45), ("yaw_deg", -180, 180), below_ceiling):
+            usual, sway = getattr(self.camera.mount, name), getattr(self.camera.motion, name, None)
+            by = abs(sway.amplitude) if sway else 0.0
+            if not low <= usual - by <= usual + by <= high:
+                raise ValueError(f"expected camera.mount.{name} from {low:g} to {high:g}, found {usual:g} ± {by:g}")
         openings = sum(1 + len(wall.doors) + len(wall.posters) for wall in self.walls)
         if (found := openings + len(self.posts) + len(self.furniture)) > MOST_SOLIDS:
             raise ValueError(f"expected at most {MOST_SOLIDS} walls, openings, posts and boxes, found {found}")

@@ -110,6 +110,8 @@ def test_images_are_taken_at_their_rate_while_the_truth_is_known() -> None:
     assert (np.diff(times) == 200_000_000).all()
     assert log.drive.truth.covers(int(times[-1]) + 15_000_000)
     assert len(log) == len(log.visible) == 10
+    with pytest.raises(InputError, match=r"drive.image_offset_s: expected a first image by 0.95 s"):
+        simulated_log(world(**ROOM, image={"exposure_s": 2.1}), 0)
 
 
 def test_the_map_holds_what_at_least_five_images_show() -> None:

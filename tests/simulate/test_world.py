@@ -44,6 +44,12 @@ def edges_of(**changes: Any) -> set[tuple[float, float, float, float]]:
     return {tuple(row) for row in (np.round(columns, 3) + 0.0).tolist()}
 
 
+def swaying(name: str, amplitude: float) -> dict[str, Any]:
+    return data()["camera"] | {"motion": {name: {"amplitude": amplitude, "hz": 1.0}}}
+
+
+POSTER = {"at_m": 2.0, "width_m": 0.6, "bottom_m": 1.0, "top_m": 1.5, "side": "left", "material": "art"}
+
 # -- the file ---------------------------------------------------------------------------------------------------------
 
 
@@ -68,6 +74,13 @@ def edges_of(**changes: Any) -> set[tuple[float, float, float, float]]:
         ({"furniture": [
             {"x": 0, "z": 0, "width_m": 1, "depth_m": 1, "bottom_m": 1, "top_m": 0.5, "material": "wall"}
         ]}, ("furniture", 0)),
+        ({"posts": [{"x": 0, "z": 0, "width_m": 0.2, "bottom_m": 1, "top_m": 1, "material": "wall"}]}, ("posts", 0)),
+        ({"walls": [{"from": [0, 0], "to": [2, 0], "posters": [POSTER | {"top_m": 1}]}]}, ("walls", 0, "posters", 0)),
+        ({"ceiling_m": 0.9}, ()),
+        ({"camera": swaying("height_m", -1.6)}, ()),
+        ({"camera": swaying("yaw_deg", 180.5)}, ()),
+        ({"start": {"sigma_m": 1001}}, ("start", "sigma_m")),
+        ({"start": {"sigma_deg": 361}}, ("start", "sigma_deg")),
         ({"drive": {"path": [{"to": [0, 0]}]}}, ("drive", "path")),
         ({"camera": {"focal_px": 500, "distortion_model": "plumb_bob", "distortion": [0.1],
                      "mount": {"tilt_deg": 20, "height_m": 1}}}, ("camera",)),
@@ -134,8 +147,7 @@ def test_a_closed_door_leaf_fills_its_opening(hinge: str) -> None:
 
 
 def test_pictures_are_no_landmarks_but_are_known_to_the_renderer() -> None:
-    poster = {"at_m": 2.0, "width_m": 0.6, "bottom_m": 1.0, "top_m": 1.5, "side": "left", "material": "art"}
-    bare, hung = ([{"from": [0, 0], "to": [4, 0], "posters": posters}] for posters in ([], [poster]))
+    bare, hung = ([{"from": [0, 0], "to": [4, 0], "posters": posters}] for posters in ([], [POSTER]))
     assert len(structure_of(world(walls=hung)).landmark_map) == len(structure_of(world(walls=bare)).landmark_map)
     edges = vertical_edges(solids_of(world(walls=hung)))
     pictured = edges.points[edges.is_flat]
