@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def plan(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Floor plan: YAML of ROS map_server, PGM or PNG.")],
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Floor plan: map_server's YAML, beside its PGM or PNG.")],
     out: NewMap,
 ) -> None:
     """Turn the corners of walls, jambs and pillars of a floor PLAN into landmarks."""
