@@ -62,9 +62,9 @@ def name_of(code: int, dictionary: str) -> str:
     return f"{dictionary}:{number}:{SIDES[side]}"
 
 
-def code_of(name: object, field: str = "identity") -> tuple[int, str]:
+def code_of(name: object) -> tuple[int, str]:
     """Return the number of a side by its name, and the dictionary of its marker. Raises InputError."""
     found = _NAME.fullmatch(name) if isinstance(name, str) else None
     if found is None or found[1] not in DICTIONARIES:
-        raise InputError(f"expected a side of a marker, such as tag36h11:7:left, found {name!r}", field=field)
+        raise InputError(f"expected a side of a marker, such as tag36h11:7:left, found {name!r}", field="identity")
     return _code(int(found[2]), SIDES.index(found[3])), found[1]

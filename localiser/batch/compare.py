@@ -168,7 +168,7 @@ def compare_pairs(pairs: Sequence[Pair], figures: Iterable[Compared] = COMPARED)
     ]
 
 
-def holm(p: Array, alpha: float = ALPHA) -> tuple[Array, Array]:
+def holm(p: Array) -> tuple[Array, Array]:
     """Return the adjusted p-values (M,) of M tests, and the level (M,) of an interval that agrees with each.
 
     The smallest p is compared with alpha / M, the next with alpha / (M - 1), …, until the first that is larger; that
@@ -179,9 +179,9 @@ def holm(p: Array, alpha: float = ALPHA) -> tuple[Array, Array]:
     weighted = p[order] * (count - np.arange(count))
     adjusted, level = np.empty(count), np.empty(count)
     adjusted[order] = np.minimum(np.maximum.accumulate(weighted), 1.0)
-    kept = np.flatnonzero(weighted > alpha)
+    kept = np.flatnonzero(weighted > ALPHA)
     last = kept[0] if kept.size else count
-    level[order] = alpha / (count - np.minimum(np.arange(count), last))
+    level[order] = ALPHA / (count - np.minimum(np.arange(count), last))
     return adjusted, level
 
 

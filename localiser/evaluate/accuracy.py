@@ -209,13 +209,13 @@ def consistency(sums: Array) -> Array:
     return np.asarray(sums[:, 0] / sums[:, 1])
 
 
-def consistency_band(sums: Array, probability: float = 0.95) -> tuple[Array, Array]:
-    """Return the band (T,), (T,) that the consistency of an image lies in with this probability, errors independent.
+def consistency_band(sums: Array) -> tuple[Array, Array]:
+    """Return the band (T,), (T,) that the consistency of an image lies in with 95 % probability, errors independent.
 
     The sum is taken as a gamma variable of its mean and variance, which it is exactly, a χ², where nothing is cut off.
     """
     from scipy.special import gammaincinv
 
     shape = sums[:, 1] ** 2 / sums[:, 2]
-    low, high = (gammaincinv(shape, tail) / shape for tail in ((1 - probability) / 2, (1 + probability) / 2))
+    low, high = (gammaincinv(shape, tail) / shape for tail in (0.025, 0.975))
     return np.asarray(low), np.asarray(high)

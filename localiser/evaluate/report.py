@@ -112,14 +112,11 @@ def draw_report(
     return figure
 
 
-def picture_style(changes: Mapping[str, Any] | None = None) -> Any:
-    """Return the context of the one style of all pictures, from the defaults and not the user's.
-
-    So a picture is the same everywhere. changes: to the style, by the names of matplotlib.
-    """
+def picture_style() -> Any:
+    """Return the context of the one style of all pictures, from matplotlib's defaults and not the user's."""
     from matplotlib import style
 
-    return style.context(["default", STYLE | dict(changes or {})])
+    return style.context(["default", STYLE])
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -357,8 +354,9 @@ def _finish(axes: Axes, track: Track, title: str) -> None:
         _legend_above(axes)
 
 
-def _legend_above(axes: Axes, columns: int = 6) -> None:
+def _legend_above(axes: Axes) -> None:
     """Put the legend between title and panel, so that neither covers the other."""
+    columns = 6
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, handlelength=1.5, columnspacing=1.2)
     rows = -(-len(axes.get_legend_handles_labels()[0]) // columns)
     axes.set_title(axes.get_title(loc="left"), pad=10 + 14 * rows)

@@ -17,7 +17,7 @@ from localiser.image_files import PNG_SIGNATURE, decode, measure
 from localiser.mapping import MOST_CELLS, FloorPlan, Mask
 from localiser.storage.files import CAMERA, MAP, PLAN, kind_of, refuse_other
 
-OCCUPIED_GREY, UNKNOWN_GREY, FREE_GREY = 0, 205, 254  # as map_saver writes them
+UNKNOWN_GREY = 205  # as map_saver writes it
 _MAX_BYTES = 4 * MOST_CELLS + 2**16  # four characters a cell in a PGM of text
 _PGM_HEAD = re.compile(rb"(P[25])" + 3 * rb"(?:\s|#[^\n]*\n)+(\d{1,99})" + rb"(?:[ \t]*#[^\n]*)?\s")
 Picture = NDArray[Any]
