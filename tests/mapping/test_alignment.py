@@ -91,8 +91,7 @@ def test_maps_are_read_again_though_their_ends_cross_and_their_places_are_known_
     built = replace(plan, bottom_m=np.full(3, np.nan), top_m=np.full(3, 1.0))
     write_map(fuse_maps(plan, built, np.array([[0, 0], [1, 1]])), tmp_path / "map.yaml")
     whole = read_map(tmp_path / "map.yaml")
-    np.testing.assert_array_equal(whole.bottom_m[:2], [np.nan, 0.5])
-    np.testing.assert_array_equal(whole.top_m[:2], [np.nan, 1.0])
+    np.testing.assert_array_equal([whole.bottom_m[:2], whole.top_m[:2]], [[np.nan, 0.5], [np.nan, 1.0]])
     assert whole.cov[:2] == pytest.approx(cov[:2] / 2) and whole.points[:3] == pytest.approx(plan.points)
 
 
@@ -128,12 +127,10 @@ def five() -> LandmarkMap:
 
 def test_three_at_one_place_become_the_one_that_most_images_show() -> None:
     merged, gone = merge_duplicates(five())
-    assert merged.ids == (1, 3, 4)
-    assert sorted(other for _, other in gone) == [0, 2]
+    assert merged.ids == (1, 3, 4) and sorted(other for _, other in gone) == [0, 2]
     assert merged.points[0] == pytest.approx([1.005, 2.0033], abs=1e-4)
     assert merged.cov[0] == pytest.approx(1e-4 / 3 * np.eye(2))
-    assert merged.bottom_m[0] == 0.5
-    assert merged.quality.sightings[0] == 20
+    assert merged.bottom_m[0] == 0.5 and merged.quality.sightings[0] == 20
     assert len(duplicates(merged)) == 0
 
 
@@ -141,9 +138,7 @@ def test_a_command_merges_what_the_check_lists(tmp_path: Path) -> None:
     write_map(five(), tmp_path / "map.yaml")
     assert "There twice" in run("map", "check", tmp_path / "map.yaml").output
     shown = " ".join(run("map", "merge", tmp_path / "map.yaml", "-o", tmp_path / "better.yaml").output.split())
-    assert "0 is part of 1" in shown
-    assert "3 landmarks" in shown
-    assert "2 were there twice" in shown
+    assert "0 is part of 1" in shown and "3 landmarks" in shown and "2 were there twice" in shown
     assert len(read_map(tmp_path / "better.yaml")) == 3
 
 
@@ -151,8 +146,7 @@ def test_taking_landmarks_takes_their_quality_along() -> None:
     quality = replace(Quality.unknown(3), existence=np.array([0.1, 0.2, 0.3]))
     whole = replace(LandmarkMap.from_points(np.arange(6.0).reshape(3, 2), ids=("a", "b", "c")), quality=quality)
     part = whole.take(np.array([2, 0]))
-    assert part.ids == ("c", "a")
-    assert part.points.tolist() == [[4.0, 5.0], [0.0, 1.0]]
+    assert part.ids == ("c", "a") and part.points.tolist() == [[4.0, 5.0], [0.0, 1.0]]
     assert part.quality.existence.tolist() == [0.3, 0.1]
 
 

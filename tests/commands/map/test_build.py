@@ -41,12 +41,9 @@ def test_build_and_show(tmp_path: Path) -> None:
     built = run("map", "build", log, "--poses", "truth", "-o", out)
     assert built.exit_code == 0
     landmark_map = read_map(out)
-    assert len(landmark_map) > 50
-    assert landmark_map.quality is not None
-    assert np.isfinite(landmark_map.cov).all()
+    assert len(landmark_map) > 50 and landmark_map.quality is not None and np.isfinite(landmark_map.cov).all()
     assert f"{len(landmark_map)} landmarks" in built.output
-    plain = run("map", "show", out, "-o", tmp_path / "plain.png")
-    assert plain.exit_code == 0
+    assert run("map", "show", out, "-o", tmp_path / "plain.png").exit_code == 0
     assert "expected a new file" in refused("map", "show", out, "-o", tmp_path / "plain.png")
     for _ in range(2):  # a picture under its own name takes the place of the one before
         shown = run("map", "show", out, "--path", log)
@@ -67,9 +64,9 @@ def test_a_log_alone_gives_a_map_and_a_trajectory(tmp_path: Path) -> None:
     # This log's odometry is the truth: what comes out must not be far from it.
     error = read_poses(track).poses - drive.truth.poses[:60]
     assert np.abs(error[:, :2]).max() < 0.1
-    assert "expected a new file" in refused("map", "build", log, "-o", tmp_path / "b.yaml", "--trajectory", track)
-    same = ("-o", tmp_path / "b.yaml", "--trajectory", tmp_path / "b.yaml")
-    assert "--trajectory: expected another file than that of the map" in refused("map", "build", log, *same)
+    new = tmp_path / "b.yaml"
+    assert "expected a new file" in refused("map", "build", log, "-o", new, "--trajectory", track)
+    assert "--trajectory: expected another file" in refused("map", "build", log, "-o", new, "--trajectory", new)
 
 
 def test_the_drive_of_a_map_starts_where_it_began_and_another_is_looked_for(tmp_path: Path) -> None:
@@ -198,14 +195,12 @@ def test_edges_of_a_rolling_shutter_are_kept_by_how_the_robot_moved(cache: Path)
 def test_whatever_the_poses_a_log_of_nothing_makes_no_map(tmp_path: Path, poses: str, content: str) -> None:
     drive = world("corridor")
     edges = drive.edges(seed=0, clutter=4.0)[:40]
-    if content == "clutter":
-        edges = [frame.take(frame.landmark_id < 0) for frame in edges]
-    elif content == "nothing":
-        edges = [Edges.none()] * 40
-    elif content == "flashes":  # one edge now and then, which cannot be followed
-        edges = [frame.take(np.arange(t % 15 == 0)) for t, frame in enumerate(edges)]
-    else:
-        edges = edges[:4]
+    edges = {
+        "clutter": [frame.take(frame.landmark_id < 0) for frame in edges],
+        "nothing": [Edges.none()] * 40,
+        "flashes": [frame.take(np.arange(t % 15 == 0)) for t, frame in enumerate(edges)],
+        "few frames": edges[:4],
+    }[content]
     log, folder = edge_log(tmp_path / "log", edges), tmp_path / "out"
     folder.mkdir()
     files = ("-o", folder / "map.yaml", "--trajectory", folder / "path.tum")
