@@ -36,8 +36,8 @@ def evaluate_run(
     """Return the metrics of a run against the truth.
 
     run: its folder, a trajectory file (TUM, or a run's CSV), or the track of a replay. truth: true poses, or their file
-    (TUM, or CSV `t_ns,x,z,heading`); a run's folder is judged by it in place of what it recorded. align: see `aligned`.
-    Raises InputError.
+    (TUM, or CSV `t_ns,x,z,heading`); a run's folder is judged by it in place of what it recorded. align: see `aligned`;
+    a run's folder without `truth` is aligned with the true poses that it holds. Raises InputError.
     """
     if isinstance(run, Track):
         if truth is None:
@@ -52,8 +52,10 @@ def evaluate_run(
     recorded = _checked(storage.read_json(folder / "metrics.json"), folder / "metrics.json")
     if (folder / "timing.json").is_file():
         recorded |= _checked(storage.read_json(folder / "timing.json"), folder / "timing.json")
-    if truth is None:
+    if truth is None and align is None:
         return recorded
+    if truth is None and not (truth := folder / "groundtruth.tum").is_file():
+        raise InputError("--align needs true poses, here or by --truth FILE, found none", path=truth)
     judged = _judged(storage.read_track(folder / "trajectory.csv"), truth, str(recorded.get("log")), align, recorded)
     return judged | {key: recorded[key] for key in NOT_IN_A_TRACK if key in recorded}
 

@@ -127,6 +127,12 @@ def test_evaluate_judges_any_trajectory_by_a_given_truth(localiser: Localiser, l
     assert without.exit_code == 2
     assert "--truth" in without.err
 
+    aligned = ("evaluate", run, "--json", "--align")
+    assert localiser(*aligned, "se2").out == localiser(*aligned, "se2", "--truth", run / "groundtruth.tum").out
+    assert "expected origin or se2, found 'sim3'" in localiser(*aligned, "sim3").err
+    (run / "groundtruth.tum").unlink()
+    assert "groundtruth.tum: --align needs true poses" in localiser(*aligned, "se2").err
+
 
 def test_a_drive_that_sees_no_landmark_makes_no_log(localiser: Localiser, tmp_path: Path) -> None:
     world = yaml.safe_load((ROOT / "configs" / "worlds" / "corridor.yaml").read_text())
