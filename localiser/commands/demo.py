@@ -55,7 +55,7 @@ def demo(
     if not is_quiet():
         run = out / LOG.name / "latest"
         files = (
-            "--keep FOLDER keeps the log, its map and more to try" if keep is None else f"files to try are in {keep}"
+            "--keep FOLDER keeps the log, its map and more to try" if keep is None else f"files to try are in `{keep}`"
         )
         typer.echo(f"Next: `localiser view {run}` shows the run image by image; {files}.")
 

@@ -65,7 +65,7 @@ def test_the_demo_keeps_the_files_of_an_installed_package(localiser: Localiser, 
     (installed / "logs" / "corridor" / "log.yaml").chmod(0o444)
     with patch("localiser.replay.folder.write_report"):
         result = localiser("demo", "--keep", "kept")
-    assert result.exit_code == 0 and "files to try are in kept" in result.out
+    assert result.exit_code == 0 and "files to try are in `kept`." in result.out
     assert files(empty / "kept") == files(installed)
     assert os.access(empty / "kept" / "logs" / "corridor" / "log.yaml", os.W_OK)
     assert (empty / "results" / "corridor" / "1" / "metrics.json").is_file()
