@@ -18,13 +18,15 @@ extensions = ["myst_parser", "sphinx.ext.autodoc"]
 exclude_patterns = ["Thumbs.db", ".DS_Store", "notes"]  # notes are read in a clone
 html_theme = "furo"
 html_title = "localiser"
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_show_copyright = html_show_sphinx = html_copy_source = False
 html_theme_options = {"sidebar_hide_name": False}
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
+autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Array": "Array"}
 autodoc_default_options = {"members": True, "undoc-members": False}
 
 OUTWARD_LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(((?:(?:\.\./)+|notes/)[^)\s]*)\)")
