@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from paper.figure import figure_png
@@ -13,6 +14,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 def main() -> None:
     """Replace what stands between the marks of each table."""
+    argparse.ArgumentParser(prog="python -m paper", description=__doc__).parse_args()
     reproduction = reproduce(PLACES, SEED)
     (DOCS / "figures" / "paper.png").write_bytes(figure_png(reproduction.found))
     page = (DOCS / "paper.md").read_text()

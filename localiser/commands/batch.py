@@ -36,9 +36,7 @@ def batch(
         ),
     ] = None,
     seeds: Annotated[str | None, typer.Option(metavar="0-4", help="Seeds, such as 0-4 or 0,3,7-9.")] = None,
-    start: Annotated[
-        str | None, typer.Option(metavar="x,z,heading_deg|global|truth", help="Where all runs start; see replay.")
-    ] = None,
+    start: Annotated[str | None, typer.Option(metavar="POSE", help="Where all runs start; see replay.")] = None,
     topics: Topics = None,
     camera: BagCamera = None,
     jobs: Annotated[
@@ -82,7 +80,7 @@ def batch(
         def begun(done: int, left: int) -> Callable[[], None]:
             reading.close()
             if done and not is_quiet():
-                typer.echo(f"{done} runs are done already; {left} are left.", err=True)
+                typer.echo(f"Runs that are done already: {done}; left: {left}.", err=True)
             return shown.enter_context(progress("Replaying", left))
 
         rows = run_batch(Batch(logs, choices, out, opening), Workers(jobs, cluster), begun)

@@ -23,7 +23,7 @@ ConfigFile = Annotated[
 ]
 Overrides = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="Set one value, such as mcl.particles=500. May be repeated."),
+    typer.Option("--set", metavar="NAME=VALUE", help="Set one value of `localiser config show`. May be repeated."),
 ]
 Seed = Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, metavar="N", help="Same seed, same result.")]
 Topics = Annotated[

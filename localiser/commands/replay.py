@@ -60,10 +60,10 @@ def replay(
     start: Annotated[
         str | None,
         typer.Option(
-            metavar="x,z,heading_deg|global|truth",
-            help="Where the robot starts, to 0.1 m and 3°; MAP:x,z,heading_deg on another map than the first. "
-            "`global`: anywhere on the map. `truth`: the true pose plus such an error. By default what the log states, "
-            "else global.",
+            metavar="POSE",
+            help="Where the robot starts: x,z,heading_deg, to 0.1 m and 3°; MAP:x,z,heading_deg on another map than "
+            "the first. `global`: anywhere on the map. `truth`: the true pose plus such an error. By default what the "
+            "log states, else global.",
         ),
     ] = None,
     observation: Annotated[Kind | None, typer.Option(help="What is compared with the map.")] = None,
@@ -144,7 +144,7 @@ def _show_run(figures: dict[str, Any], folder: Path, rrd: bool) -> None:
 
 def _how_sure(confidence: Any) -> str:
     """Return in words when the robot was found, and how sure the run was of its poses."""
-    reasons = [f"{reason} ({count} images)" for reason, count in confidence["reasons"].items()]
+    reasons = [f"{reason} ({count} image{'s' * (count != 1)})" for reason, count in confidence["reasons"].items()]
     why = f"; else: {', '.join(reasons)}" if reasons else ""
     found = ""
     if confidence["found_s"] is None:

@@ -60,7 +60,9 @@ def calibrate(
         Path | None,
         typer.Option(metavar="IMAGE", help="The board flat on the floor, camera on the robot: gives the mount too."),
     ] = None,
-    lens: Annotated[LensName, typer.Option(help="Model of the lens distortion, as ROS names it.")] = "plumb_bob",
+    lens: Annotated[
+        LensName, typer.Option(metavar="MODEL", help="Distortion: plumb_bob, rational_polynomial, equidistant or none.")
+    ] = "plumb_bob",
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE", help="New camera file.")] = None,
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
