@@ -102,8 +102,8 @@ def new_table(title: str, *columns: str, texts: int = 1) -> Table:
 def fit_width(table: Table, console: Console) -> list[Table]:
     """Return the table in pieces that are as wide as the console at most, where its columns can be.
 
-    Each piece begins with the columns that tell the rows apart. Title and caption stand once. A table without a
-    header is a list of texts, whose lines are wrapped instead.
+    Each piece begins with the columns that tell the rows apart. The title stands once. A table without a header is
+    a list of texts, whose lines are wrapped instead.
     """
     if not table.show_header or _width(table, console) <= console.width:
         return [table]
@@ -119,21 +119,21 @@ def fit_width(table: Table, console: Console) -> list[Table]:
         pieces.append(_part(table, keys, start, end))
         start = end
     pieces = pieces or [table]
-    pieces[0].title, pieces[-1].caption = table.title, table.caption
+    pieces[0].title = table.title
     return pieces
 
 
 def _part(table: Table, keys: int, start: int, end: int) -> Table:
     """Return a table of its first columns, `keys` of them, and those from `start` to `end`, without a title."""
     part = copy(table)
-    part.title = part.caption = None
+    part.title = None
     chosen = [*table.columns[:keys], *table.columns[start:end]]
     part.columns = [replace(column, _index=place) for place, column in enumerate(chosen)]
     return part
 
 
 def _width(table: Table, console: Console) -> int:
-    """Return the width of the columns, which that of title and caption does not change."""
+    """Return the width of the columns, which that of the title does not change."""
     from rich.measure import Measurement
 
     return Measurement.get(console, console.options.update(width=10_000), table).maximum
@@ -224,10 +224,9 @@ def run_tables(runs: Mapping[str, Metrics]) -> Iterator[Table | str]:
         for name, run in runs.items():
             figures = (column.text(column.of(run)) for column in known)
             table.add_row(_broken(name), *(_text(run.get(key)) for key in differing), *figures)
-        table.caption = "; ".join(NOTES[column.title] for column in known if column.title in NOTES) or None
-        table.caption_justify = "left"
         yield ""
         yield table
+        yield from (NOTES[column.title] for column in known if column.title in NOTES)
 
 
 def _broken(name: str) -> str:
