@@ -8,6 +8,7 @@ from folders import ROOT
 
 from localiser import geometry
 from localiser.edges import Edges
+from paper.__main__ import main
 from paper.equations import TILT_2_DEG, explanations, one_pixel, steepest_slope, table_1
 from paper.motions import DRIVE_M, VIEWS, Measured, Place, Seen, turn_rad
 from paper.reproduce import Reproduction, reproduce
@@ -22,6 +23,13 @@ SMALL, LARGE = SIZES
 @pytest.fixture(scope="module")
 def reproduced() -> Reproduction:
     return reproduce(2, 0)
+
+
+def test_help_makes_nothing_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("paper.__main__.reproduce", None)
+    monkeypatch.setattr("sys.argv", ["paper", "--help"])
+    with pytest.raises(SystemExit):
+        main()
 
 
 # -- what follows from the equations ----------------------------------------------------------------------------------

@@ -74,7 +74,8 @@ def test_what_is_done_is_not_done_again(localiser: Localiser, log: Path, tmp_pat
     assert batch(localiser, out, log, "--seeds", "0-1").exit_code == 0
     assert began == [0, 1] and (out / "runs.csv").read_bytes() == first
     elsewhere = shutil.copytree(log, tmp_path / "elsewhere")
-    assert batch(localiser, out, elsewhere, "--seeds", "1-2").exit_code == 0
+    more = batch(localiser, out, elsewhere, "--seeds", "1-2")
+    assert more.exit_code == 0 and "done already: 1; left: 1." in more.err
     assert began == [0, 1, 2]
 
 
