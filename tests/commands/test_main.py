@@ -124,8 +124,7 @@ def test_evaluate_judges_any_trajectory_by_a_given_truth(localiser: Localiser, l
     assert apart.err.startswith(f"Error: {later}: expected truth during the run")
 
     without = localiser("evaluate", run / "trajectory.tum")
-    assert without.exit_code == 2
-    assert "--truth" in without.err
+    assert without.exit_code == 2 and "--truth" in without.err
 
     aligned = ("evaluate", run, "--json", "--align")
     assert localiser(*aligned, "se2").out == localiser(*aligned, "se2", "--truth", run / "groundtruth.tum").out

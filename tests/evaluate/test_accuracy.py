@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, truncnorm
 
+from localiser.commands.replay import _how_sure
 from localiser.errors import InputError
 from localiser.evaluate import Track, errors_against, metrics, nees, timing_metrics
 from localiser.evaluate.accuracy import consistency_band, dead_reckoning, residual_sums
@@ -245,6 +246,7 @@ def test_how_sure_a_run_was_and_how_rightly() -> None:
     assert figures["position_rmse_m"] == pytest.approx(np.sqrt((0.01 + 0.36 + 0 + 0.04) / 4), abs=1e-6)
     assert figures["position_max_m"] == 0.6 and figures["position_end_m"] == 0.2
     assert found["reasons"] == {"no edges": 1, "several places fit": 1}
+    assert _how_sure(found | {"reasons": {"no edges": 1, "lost": 2}}).endswith("no edges (1 image), lost (2 images).")
 
 
 def test_a_base_that_restarts_drives_no_farther() -> None:
