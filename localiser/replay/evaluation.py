@@ -52,10 +52,12 @@ def evaluate_run(
     recorded = _checked(storage.read_json(folder / "metrics.json"), folder / "metrics.json")
     if (folder / "timing.json").is_file():
         recorded |= _checked(storage.read_json(folder / "timing.json"), folder / "timing.json")
-    if truth is None and align is None:
-        return recorded
-    if truth is None and not (truth := folder / "groundtruth.tum").is_file():
-        raise InputError("--align needs true poses, here or by --truth FILE, found none", path=truth)
+    if truth is None:
+        if align is None:
+            return recorded
+        truth = folder / "groundtruth.tum"
+        if not truth.is_file():
+            raise InputError("--align needs true poses, here or by --truth FILE, found none", path=truth)
     judged = _judged(storage.read_track(folder / "trajectory.csv"), truth, str(recorded.get("log")), align, recorded)
     return judged | {key: recorded[key] for key in NOT_IN_A_TRACK if key in recorded}
 
