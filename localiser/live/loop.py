@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -104,8 +105,10 @@ class LiveRun:
 
     def _load_map(self, asked: str) -> int:
         """Load a map that is in the folder of maps; a path that leads elsewhere is refused."""
-        path, monitor = self.maps / asked.removeprefix("file://"), self.outputs.monitor
-        if not path.resolve().is_relative_to(self.maps.resolve()) or not path.is_file():
+        path, monitor, is_there = self.maps / asked.removeprefix("file://"), self.outputs.monitor, False
+        with suppress(OSError, RuntimeError, ValueError):  # a name that is too long, a loop of links, a NUL
+            is_there = path.resolve().is_relative_to(self.maps.resolve()) and path.is_file()
+        if not is_there:
             monitor.warn("no such map", f"expected a map in {self.maps}, asked for {asked!r}")
             return MAP_NOT_THERE
         try:

@@ -11,7 +11,7 @@ from live_feed import LOG, MAKE, Feed, arrival, camera, drive, image
 from live_transport import KeepingTransport
 from short_log import CORRIDOR
 
-from localiser.config import LiveParameters
+from localiser.config import LiveParameters, read_config
 from localiser.errors import InputError
 from localiser.live.inbox import Arrival, Inbox
 from localiser.live.outputs import Publisher
@@ -92,17 +92,30 @@ def test_an_image_from_before_another_map_was_loaded_is_not_weighed_on_it(tmp_pa
     assert feed.tracker.timeline.skipped == {"before the start": 1}
 
 
-@pytest.mark.parametrize("name", ["nothing.yaml", "../other/map.yaml", "/etc/hostname", "", "file://none.yaml"])
-def test_a_map_that_is_none_or_not_in_the_folder_is_not_loaded(tmp_path: Path, name: str) -> None:
-    for folder in ("other", "maps"):
-        (tmp_path / folder).mkdir()
+@pytest.mark.parametrize("name", ["nothing.yaml", "../other/map.yaml", "/etc/hostname", "", 300 * "a", "itself", "\0"])
+def test_a_map_that_is_not_in_the_folder_is_not_loaded(tmp_path: Path, name: str) -> None:
+    (tmp_path / "other").mkdir()
     write_map(LOG.landmark_map, tmp_path / "other" / "map.yaml")
-    (tmp_path / "maps" / "none.yaml").write_text("format: something else\n")
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "itself").symlink_to("itself")
     feed, _ = fed(tmp_path / "maps")
     feed([*camera(), *drive(2)])
-    kept, is_there = feed.tracker.localiser, name == "file://none.yaml"
-    assert asked(feed, "load_map", map_url=name).result == (MAP_INVALID if is_there else MAP_NOT_THERE)
-    assert feed.tracker.localiser is kept and any("the map stays" in text for text in feed.said) == is_there
+    kept = feed.tracker.localiser
+    assert asked(feed, "load_map", map_url=name).result == MAP_NOT_THERE
+    assert feed.tracker.localiser is kept
+
+
+@pytest.mark.parametrize(
+    "text", ["something else", "localiser-map/1\nlandmarks: [{id: 1, x: 0, z: 1, identity: 4x4_50:7:left}]"]
+)
+def test_a_map_that_is_refused_changes_nothing(tmp_path: Path, text: str) -> None:
+    (tmp_path / "map.yaml").write_text(f"format: {text}\n")
+    feed, _ = fed(tmp_path, config=read_config(None, ["edges.markers=tag36h11"]))
+    feed([*camera(), *drive(2)])
+    kept = feed.tracker.localiser
+    assert asked(feed, "load_map", map_url="file://map.yaml").result == MAP_INVALID
+    assert feed.tracker.localiser is kept and any("the map stays" in text for text in feed.said)
+    assert feed.tracker.landmark_map is kept.landmark_map
 
 
 def test_a_map_that_is_loaded_before_the_camera_is_known_is_the_map(tmp_path: Path) -> None:
