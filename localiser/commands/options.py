@@ -120,7 +120,7 @@ def paced(advance: Callable[[], None], times_ns: Sequence[int], speed: float) ->
     """
     import numpy as np
 
-    waits_ns = np.minimum(np.diff(times_ns), round(LONGEST_WAIT_S * speed * 1e9))
+    waits_ns = np.minimum(np.diff(times_ns), LONGEST_WAIT_S * speed * 1e9)
     due_s = np.append(0, np.cumsum(waits_ns)) / 1e9 / speed
     begin: list[float] = []
 

@@ -123,3 +123,5 @@ def test_images_pass_at_the_speed_they_were_taken_times_a_factor() -> None:
             step()
     gaps = [round(later - sooner, 6) for sooner, later in pairwise(passed)]
     assert gaps == [0.11, 0.1, 0.1, 0.1]
+    for fast in (1e9, float("inf")):
+        paced(advance, [0, 10**10], speed=fast)()
