@@ -43,11 +43,12 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The metrics of a task, or why there are none. number: of the task."""
+    """The metrics of a task, or why there are none. number: of the task. stopped: whether by a signal."""
 
     number: int
     metrics: dict[str, Any] | None = None
     error: str | None = None
+    stopped: bool = False
 
 
 def replay_task(task: Task) -> Outcome:
@@ -68,7 +69,7 @@ def replay_task(task: Task) -> Outcome:
         outputs = Outputs(folder.parent, rrd=False, report=False)
         return Outcome(task.number, FolderRun.open(run, outputs, RunFolder(folder)).run(lambda: None))
     except LocaliserError as error:
-        return Outcome(task.number, error=str(error))
+        return Outcome(task.number, error=str(error), stopped=error.exit_code > 128)
     except Exception as error:
         return Outcome(task.number, error=f"{type(error).__name__}: {error}")
 
@@ -211,6 +212,8 @@ def run_batch(
         advance = begun(sum(row["error"] is None for row in rows.values()), len(tasks))
         try:
             for outcome in each(replay_task, [(task,) for task in tasks]):
+                if outcome.stopped:
+                    raise KeyboardInterrupt
                 run = runs[outcome.number]
                 if outcome.metrics is None:
                     rows[outcome.number] = run.about | {"error": outcome.error}

@@ -18,7 +18,7 @@ from small_log import write_edge_log, write_small_log
 from localiser.batch import choices_of, run, seeds_of
 from localiser.batch.choices import Opening, contents_of, map_id, run_id, values_of
 from localiser.config import Config, read_config
-from localiser.errors import InputError
+from localiser.errors import InputError, RunEndedEarlyError
 from localiser.storage import csv_text, read_figures, read_map, read_runs
 
 IMAGES = 4
@@ -169,6 +169,15 @@ def test_a_run_that_is_kept_as_ctrl_c_comes_is_in_the_table(localiser, log, tmp_
     result = batch(localiser, tmp_path / "out", log, "--seeds", "0-1")
     assert result.exit_code == 130 and "stopped after 1 of 2 runs" in result.err
     assert len(rows(tmp_path / "out")) == 1
+
+
+def test_ctrl_c_during_a_run_in_this_process_ends_the_batch(localiser, log, tmp_path, monkeypatch, began):
+    def stopped(*_: object) -> None:
+        raise RunEndedEarlyError("stopped", 130)
+
+    monkeypatch.setattr(run.FolderRun, "run", stopped)
+    result = batch(localiser, tmp_path / "out", log, "--seeds", "0-1")
+    assert (result.exit_code, began) == (130, [0]) and "stopped after 0 of 2 runs" in result.err
 
 
 def test_every_combination_comes_once_and_seeds_vary_fastest(tmp_path: Path) -> None:
