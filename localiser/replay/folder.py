@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, Literal
@@ -111,7 +111,7 @@ class ReplayBag:
 
     def _begun(self) -> NewBag:
         bag = self._bag = self._stack.enter_context(new_bag(self._path, FILE_KINDS[self._path.suffix]))
-        self._messages = log_messages(self._log, self._make)
+        self._messages = log_messages(replace(self._log, landmark_map=self._outgoing.landmark_map), self._make)
         self._next = next(self._messages, None)
         for message in self._outgoing.landmarks(self._log.start_ns):
             self._write(bag, message)
