@@ -104,10 +104,11 @@ def replay(
     with progress("Localising", len(recorded.frames)) as advance:
         times_ns = [frame.t_ns for frame in recorded.frames]
         figures = run.run(advance if speed is None else paced(advance, times_ns, speed))
+    layouts = [] if bag is None else _layouts_beside(bag)
     if not is_quiet():
         _show_run(figures, run.folder.path, rrd)
-        if bag is not None:
-            typer.echo(f"Bag in {bag}; beside it {' and '.join(_layouts_beside(bag))}, layouts for RViz and Foxglove.")
+        if layouts:
+            typer.echo(f"Bag in {bag}; beside it {' and '.join(layouts)}, layouts for RViz and Foxglove.")
         for warning in figures["warnings"]:
             warn(warning)
     if run.viewer is not None and not run.viewer.is_running:
