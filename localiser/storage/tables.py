@@ -68,7 +68,8 @@ class Table:
 
     def written(self, row: int, name: str) -> str:
         """Return a cell as the file has it; its value where the cell is not to be found."""
-        line = read_text(self.path, MAX_TABLE_BYTES).split("\n")[self.lines[row] - 1]
+        lines = io.StringIO(read_text(self.path, MAX_TABLE_BYTES), newline="").readlines()
+        line = lines[self.lines[row] - 1]
         cells, place = line.split("," if "," in line else None), list(self.columns).index(name)
         return cells[place].strip() if len(cells) >= len(self.columns) else str(self.columns[name][row])
 
@@ -187,12 +188,12 @@ def read_columns(path: Path, columns: Sequence[Column], separator: str | None = 
     separator: None: white space, between exactly these columns; else more columns may follow. Raises InputError with
     file, line and field.
     """
-    lines = enumerate(read_text(path, MAX_TABLE_BYTES).split("\n"), start=1)
+    lines = enumerate(io.StringIO(read_text(path, MAX_TABLE_BYTES), newline=""), start=1)
     most = None if separator is None else len(columns)
     rows = _bounded(
         path,
         (
-            (line, text.split(separator)[:most])
+            (line, text.strip().split(separator)[:most])
             for line, text in lines
             if text.strip() and not text.lstrip().startswith("#")
         ),

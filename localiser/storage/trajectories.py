@@ -55,7 +55,7 @@ def read_poses(path: Path) -> Trajectory:
     row = next((line for line in lines if not line.startswith("#")), "")
     cells = row.replace(",", " ").split()
     names = {name.strip() for name in row.split(",")}
-    if "," in row and cells[0].isdigit():
+    if "," in row and cells and cells[0].replace(".", "", 1).isdigit():
         return _read_quaternions(path, _EUROC, ",")
     if "," not in row and (len(cells) == len(_TUM) or (lines and lines[0].startswith("#"))):
         return _read_quaternions(path, _TUM)

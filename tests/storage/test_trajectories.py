@@ -135,7 +135,7 @@ def test_tum_is_told_by_its_lines(tmp_path: Path, comment: str) -> None:
     assert_close(read_poses(tmp_path / "odometry.csv"), TRUTH)
 
 
-@pytest.mark.parametrize("header", ["time,px,py,theta", "t,x,y,theta", "t,x,y", "stamp x y yaw"])
+@pytest.mark.parametrize("header", ["time,px,py,theta", "t,x,y,theta", "t,x,y", "stamp x y yaw", ",,,"])
 def test_an_unknown_header_is_told_with_the_formula_between_the_frames(tmp_path: Path, header: str) -> None:
     (tmp_path / "odometry.csv").write_text(f"{header}\n0,0,0,0\n")
     with pytest.raises(InputError) as refused:
@@ -163,9 +163,10 @@ def test_of_two_poses_at_one_time_the_first_is_kept_and_that_is_told(tmp_path: P
     file = tum(tmp_path / "t.tum", PLACES, TURNS.as_quat(), lambda index, row: f"{row}\n{row}" if index == 7 else row)
     with pytest.warns(InputWarning, match=r"t.tum:10: left out 1 of 31 poses .* such as 1600000000\.7000$"):
         np.testing.assert_allclose(read_poses(file).poses, OURS)
-    (tmp_path / "o.csv").write_text("t_ns,x,z,heading\n5,1,0,0\n5,2,0,0\n6,3,0,0\n")
-    with pytest.warns(InputWarning, match="left out 1 of 3"):
-        assert read_poses(tmp_path / "o.csv").poses[:, 0].tolist() == [1, 3]
+    for end in ("\n", "\r"):
+        (tmp_path / "o.csv").write_text(end.join(("t_ns,x,z,heading", "5,1,0,0", "5,2,0,0", "6,3,0,0", "")))
+        with pytest.warns(InputWarning, match="left out 1 of 3 .* such as 5"):
+            assert read_poses(tmp_path / "o.csv").poses[:, 0].tolist() == [1, 3]
 
 
 @pytest.mark.parametrize("lost", ["nan nan nan nan nan nan nan", "null null null 0 0 0 1", "0 0 0 0 0 0 0"])
@@ -228,6 +229,9 @@ def test_euroc_and_tum_in_nanoseconds(tmp_path: Path) -> None:
     q = TURNS.as_quat()[:, [3, 0, 1, 2]]
     rows = [",".join(map(str, [t, *place, *turn, 0.5])) for t, place, turn in zip(t_ns, PLACES, q, strict=True)]
     (tmp_path / "data.csv").write_text(header + "\n".join(rows) + "\n")
+    assert_close(read_poses(tmp_path / "data.csv"), Trajectory(t_ns, OURS))
+    in_seconds = "\n".join(f"{seconds(t)},{row.split(',', 1)[1]}" for t, row in zip(t_ns.tolist(), rows, strict=True))
+    (tmp_path / "data.csv").write_text(in_seconds)
     assert_close(read_poses(tmp_path / "data.csv"), Trajectory(t_ns, OURS))
     tum(tmp_path / "t.tum", PLACES, TURNS.as_quat(), lambda index, row: f"{t_ns[index]} {row.split(maxsplit=1)[1]}")
     assert_close(read_poses(tmp_path / "t.tum"), Trajectory(t_ns, OURS))
