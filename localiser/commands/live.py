@@ -157,12 +157,12 @@ def demo(
     if start is None and truth is not None:
         start = stated_start(truth.at(driven.frames[0].t_ns))
     settings = read_config(None, overrides or [], driven.settings)
-    reached = [f"live.dds={settings.live.dds}", f"live.interface={settings.live.interface}"]
+    reached = [f"live.{name}={getattr(settings.live, name)!r}" for name in ("dds", "interface", "namespace", "domain")]
     if settings.live.dds < 0:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-        reached = [f"live.listen={endpoint}"]
+        reached.append(f"live.listen={endpoint}")
         settings = read_config(None, [*(overrides or []), f"live.connect={endpoint}"], driven.settings)
     with TemporaryDirectory() as folder:
         map_file = Path(folder) / "map.yaml"
