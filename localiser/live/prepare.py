@@ -86,11 +86,12 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
                 say(f"Watch at {address}" if options.view == "web" else f"Watch with `rerun {address}`", "INFO")
         return localiser
 
-    with ExitStack() as stack:
-        inbox = Inbox()
+    with ExitStack() as unbegun, ExitStack() as stack:
+        inbox, clocks = Inbox(), Clocks(simulated=SimulatedTime() if live.use_sim_time else None)
         monitor = Monitor(tell, lambda roles: advice(options, topics, roles, joined=transport.is_joined()))
         recording = start_recording(options, landmark_map, topics, outputs, lambda why: tell(why, "WARNING"))
-        if recording is not None:
+        if recording is not None and options.record is not None:
+            unbegun.callback(options.record.unlink, missing_ok=True)
             stack.callback(recording.close)
         transport = stack.enter_context(closing(open_transport(live)))
         transport.report_to(lambda text: monitor.warn("network", text))
@@ -102,7 +103,6 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
         stack.callback(lambda: close_all(viewers, complete=True))
         warm_up(landmark_map, options.config, say)
         finder = CameraFinder(given, topics["image"], topics["camera_info"], moving_kept=_MOVING_KEPT)
-        clocks = Clocks(simulated=SimulatedTime() if live.use_sim_time else None)
         frames, tolerance_ns = Frames(live.map_frame, live.odom_frame), round(live.transform_tolerance_s * 1e9)
         publisher = Publisher(transport, outputs, frames, tolerance_ns, recording.send if recording else None)
         targets = Outputs(monitor, publisher, recording, publish, viewers)
@@ -115,6 +115,7 @@ def open_run(options: LiveOptions, say: Callable[[str, str], None]) -> Iterator[
             transport.subscribe(topic_for(role, topic), partial(take_in, inbox, role, topic))
         if options.image is not None:
             stack.callback(open_camera(options.image, topics["image"], inbox).close)
+        unbegun.pop_all()  # what was recorded stays
         yield LiveRun(inbox, tracker, clocks, targets, options.map_files[0].parent, live.map_frame)
 
 

@@ -13,9 +13,9 @@ from short_log import CORRIDOR
 
 from localiser.config import LiveParameters, read_config
 from localiser.errors import InputError
-from localiser.live.inbox import Arrival, Inbox
+from localiser.live.inbox import Arrival
 from localiser.live.outputs import Publisher
-from localiser.live.prepare import LiveOptions, open_run, serve, state_to_resume
+from localiser.live.prepare import LiveOptions, open_run, state_to_resume
 from localiser.live.timeline import Timeline
 from localiser.live.tracker import Checkpoints
 from localiser.localiser import Localiser as RobotLocaliser
@@ -160,6 +160,14 @@ def test_a_request_that_is_none_is_told() -> None:
     assert not replies and any("expected a request of nav2_msgs/srv/LoadMap" in text for text in feed.said)
 
 
+def test_unknown_services_are_refused_and_leave_no_recording(tmp_path: Path) -> None:
+    config, record = read_config(None, ["live.services={fly: /fly}"]), tmp_path / "drive.db3"
+    for _ in range(2):
+        with pytest.raises(InputError, match="unknown kind of service"):
+            open_run(LiveOptions([CORRIDOR / "map.yaml"], config, record=record), lambda text, level: None).__enter__()
+    assert not list(tmp_path.iterdir())
+
+
 def test_hashes_are_those_of_another_implementation() -> None:
     utils = pytest.importorskip("zenoh_ros2_sdk.utils")
     from localiser.storage.bags import typestore
@@ -174,11 +182,6 @@ def test_hashes_are_those_of_another_implementation() -> None:
     for kind, service in SERVICES.items():
         found = utils.compute_service_type_hash(service.srvtype, service.request, service.response, named)
         assert found == service.type_hash, kind
-
-
-def test_unknown_services_are_refused() -> None:
-    with pytest.raises(InputError, match="unknown kind of service"):
-        serve(KeepingTransport(), Inbox(), "", {"fly": "/fly"})
 
 
 SHIFT = np.array([5.0, 9.0])
