@@ -52,10 +52,10 @@ def doctor(
         findings += examination.topics_of(log)
         try:
             recorded, settings = open_with_settings(log, config, overrides, topics, camera)
+            for finding in examination.log_checks(recorded, settings):
+                findings.append(finding)
         except InputError as error:
             findings.append(examination.Finding("replay", "missing", str(error)))
-        else:
-            findings += examination.log_checks(recorded, settings)
     live = settings.live
     if live.connect or live.listen or live.zenoh_config or live.dds >= 0:
         heard = examination.listen_to_robot(live, seconds)

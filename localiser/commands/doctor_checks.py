@@ -284,7 +284,8 @@ def log_checks(log: Log, config: Config) -> Iterator[Finding]:
         yield times_finding("odometry", log.odometry.t_ns, text)
         outside = sum(not log.odometry.covers(t_ns) for t_ns in times)
         if outside:
-            yield Finding("odometry", "warning", f"does not reach {outside} of {len(times)} images, which are left out")
+            text = f"does not reach {outside} of {len(times)} images, in which the wheels tell no motion"
+            yield Finding("odometry", "warning", text)
     else:
         yield Finding("odometry", "optional", "none: the images alone tell how the robot moved")
     yield camera_finding(log.camera)

@@ -9,7 +9,7 @@ from unittest.mock import patch
 
 import pytest
 from live_transport import KeepingTransport
-from short_log import CORRIDOR, Localiser
+from short_log import CORRIDOR, Localiser, cut_log
 from small_bag import Recorder, bag, recording
 from small_log import write_edge_log
 
@@ -51,6 +51,14 @@ def test_a_log_that_has_all_is_ready(localiser: Localiser) -> None:
     assert rows["tilt"].startswith("ok") and rows["map"].startswith("ok")
 
 
+def test_a_damaged_image_is_told_with_what_was_looked_at_before(localiser: Localiser, tmp_path: Path) -> None:
+    log = cut_log(CORRIDOR, tmp_path / "log", 2)
+    (log / "images" / "000001.jpg").write_bytes((log / "images" / "000001.jpg").read_bytes()[:3000])
+    result = localiser("doctor", log)
+    assert result.exit_code == 1 and "ok camera" in (said := " ".join(result.out.split()))
+    assert "missing replay" in said and "images.csv:3: file:" in said and "expected a whole image" in said
+
+
 def test_a_log_of_edges_without_a_map_lacks_that(localiser: Localiser, tmp_path: Path) -> None:
     path = write_edge_log(tmp_path / "edges")
     text = (path / "log.yaml").read_text()
@@ -76,7 +84,7 @@ def test_a_bag_is_told_topic_by_topic_and_what_to_choose(localiser: Localiser, t
     assert "/other/image 1 × sensor_msgs/msg/Image; headers without stamps" in said
     result = localiser("doctor", path, "--topic", "image=/cam/image")
     said = " ".join(result.out.split())
-    assert "camera 8×6 pixels, 0.70 m high" in said and "does not reach 5 of 10 images" in said
+    assert "camera 8×6 pixels, 0.70 m high" in said and "does not reach 5 of 10 images, in which" in said
     assert "no vertical edge in any image" in said
     assert result.exit_code == 1 and "missing map none: `localiser map build" in said
 
