@@ -220,7 +220,7 @@ class Mcap(Records):
     _END, _SCHEMA, _CHANNEL, _STATISTICS = (2, 15), 3, 4, 11
 
     def _list_at(self) -> int:
-        end = self._whole.read(self._whole.size - 37, 37)
+        end = self._whole.read(max(self._whole.size - 37, 0), 37)
         return int(unpack_from("<Q", end, 9)[0]) if end[0] == self._END[0] and end[-8:] == self.magic else 0
 
     def _walk(self, source: _Bytes, at: int) -> Iterator[tuple[int, int, Any, bool]]:

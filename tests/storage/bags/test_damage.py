@@ -165,6 +165,9 @@ def test_a_truncated_mcap_is_read_up_to_where_it_ends(tmp_path: Path, squeeze: s
     (tmp_path / "bag" / "metadata.yaml").unlink()
     file.rename(file.with_name("bag_0.mcap"))
     assert_read_to_where_it_ends(tmp_path / "bag")
+    (tmp_path / "begun.mcap").write_bytes(data[:8])
+    with pytest.raises(InputError, match="found no topic at all"):
+        open_log(tmp_path / "begun.mcap")
 
 
 @pytest.mark.parametrize(
