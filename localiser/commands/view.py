@@ -16,7 +16,7 @@ EPILOG = """Examples:
 `localiser view results/corridor/1 --web`
 
 `localiser view corridor.rrd`"""
-RECORDING = "run.rrd"
+RECORDING, MAGIC = "run.rrd", b"RRF2"
 
 
 def view(
@@ -37,9 +37,10 @@ def recording_of(run: Path) -> Path:
     """Return the recording of a run given as `localiser view` takes it. Raises InputError."""
     from localiser.storage import find_run
 
-    if run.is_file() and run.suffix == ".rrd":
-        return run
-    recording = find_run(run) / RECORDING
+    recording = run if run.is_file() and run.suffix == ".rrd" else find_run(run) / RECORDING
     if not recording.is_file():
         raise InputError(f"expected a recording, {RECORDING}; `replay --no-rrd` writes none", path=recording.parent)
+    with recording.open("rb") as file:
+        if (begin := file.read(len(MAGIC))) != MAGIC:
+            raise InputError(f"expected a recording, which begins with {MAGIC!r}, found {begin!r}", path=recording)
     return recording

@@ -103,13 +103,16 @@ def test_a_run_without_a_recording_cannot_be_viewed(localiser: Localiser, empty:
         result = localiser("view", given)
         assert (result.exit_code, result.out) == (2, "")
         assert "expected a recording, run.rrd" in result.err and "--no-rrd" in result.err
+    (run / "run.rrd").write_bytes(b"RRF")
+    for given in (run, run / "run.rrd"):
+        assert r"run.rrd: expected a recording, which begins with b'RRF2', found b'RRF'" in localiser("view", given).err
     nowhere = localiser("view", empty / "nowhere")
     assert nowhere.exit_code == 2 and "expected the folder of a run" in nowhere.err
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a display as Linux has it")
 def test_a_viewer_without_a_display_says_what_to_do(empty: Path) -> None:
-    (empty / "empty.rrd").write_bytes(b"")
+    (empty / "empty.rrd").write_bytes(b"RRF2")
     command = [sys.executable, "-m", "localiser", "view", "empty.rrd"]
     environment = {**os.environ, **NO_DISPLAY, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
