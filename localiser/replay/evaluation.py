@@ -72,8 +72,9 @@ def _checked(recorded: dict[str, Any], path: Path) -> dict[str, Any]:
         value = evaluate.figure_at(recorded, name)
         if name == "pauses" and isinstance(value, list):
             continue
-        if value is not None and (isinstance(value, bool) or not isinstance(value, kinds)):
-            raise InputError(f"expected {expected} or null, found {shown(value)}", path=path, field=name)
+        huge = "one of more than 64 bits" if isinstance(value, int) and value.bit_length() > 64 else ""
+        if value is not None and (isinstance(value, bool) or huge or not isinstance(value, kinds)):
+            raise InputError(f"expected {expected} or null, found {huge or shown(value)}", path=path, field=name)
         if isinstance(value, str):
             recorded[name] = plain_name(value)
     return recorded
