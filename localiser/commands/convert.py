@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -73,7 +74,7 @@ def convert(
     else:
         log = open_log(source, topics=topics_by_role(topics), camera=camera)
     target = FILE_KINDS.get(out.suffix, FOLDER)
-    path = out.resolve()
+    path = Path(os.path.realpath(out))
     log = replace(log, name=plain_name(path.name if target == FOLDER else path.stem))
     if every_s is not None:
         log = thinned(log, every_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -42,7 +43,7 @@ def evaluate(
 
     if as_json and as_csv:
         raise InputError("expected --json or --csv, found both", field="--csv")
-    runs = list({run.resolve(): run for run in reversed(runs)}.values())[::-1]  # `latest` is one of the others
+    runs = list({os.path.realpath(run): run for run in reversed(runs)}.values())[::-1]  # `latest` is one of the others
     short = ["/".join(run.parts[-2:]) for run in runs]
     names = short if len(set(short)) == len(runs) else map(str, runs)
     figures = {name: evaluate_run(run, truth, align) for name, run in zip(names, runs, strict=True)}

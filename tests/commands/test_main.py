@@ -310,11 +310,14 @@ def test_what_is_wrong_or_gone_is_told_with_what_to_do(localiser, tmp_path, monk
 
 
 def test_missing_files_of_the_other_commands(localiser: Localiser, tmp_path: Path) -> None:
-    nowhere = tmp_path / "nowhere"
+    nowhere, itself = tmp_path / "nowhere", tmp_path / "itself"
+    itself.symlink_to(itself)
     for arguments in (
         ["simulate", nowhere, "-o", tmp_path / "log"],
         ["evaluate", nowhere],
         ["evaluate", tmp_path, "--truth", nowhere],
+        ["evaluate", itself],
+        ["convert", write_edge_log(tmp_path / "edges"), itself, "--quiet"],
         ["config", "show", "--config", nowhere],
     ):
         result = localiser(*arguments)
@@ -330,6 +333,7 @@ def test_missing_files_of_the_other_commands(localiser: Localiser, tmp_path: Pat
     ("recorded", "told"),
     [
         ({"position_rmse_m": "x"}, "position_rmse_m: expected a number or null, found 'x'"),
+        ({"position_rmse_m": 10**400}, "position_rmse_m: expected a number or null, found one of more than 64 bits"),
         ({"nees_mean": [1]}, "nees_mean: expected a number or null, found [1]"),
         ({"log": {}}, "log: expected a text or an integer or null"),
         ({"frames": True}, "frames: expected an integer or null, found True"),
