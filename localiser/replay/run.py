@@ -173,7 +173,7 @@ def start_of(
                 return stated_start(began + landmark_map.origin(one.name), first_ns)
         return log.start
     if option != TRUTH:
-        return stated_start(option, first_ns, landmark_map)
+        return stated_start(option, first_ns, landmark_map, f", {GLOBAL} or {TRUTH}")
     if log.groundtruth is None or not log.groundtruth.covers(first_ns):
         raise InputError(
             "--start truth needs the true pose at the first image, which the log does not have; "
@@ -186,22 +186,24 @@ def start_of(
     return stated_start(np.asarray(pose), first_ns)
 
 
-def stated_start(pose: str | np.ndarray, t_ns: int = 0, landmark_map: LandmarkMap | None = None) -> Start:
+def stated_start(
+    pose: str | np.ndarray, t_ns: int = 0, landmark_map: LandmarkMap | None = None, further: str = ""
+) -> Start:
     """Return a start at a pose (3,), or at that of `x,z,heading_deg`, to `START_SIGMA`. Raises InputError.
 
-    landmark_map: where that may follow the name of one of several maps and a colon.
+    landmark_map: where that may follow the name of one of several maps and a colon. further: see `given_pose`.
     """
     if isinstance(pose, str):
         name, _, numbers = pose.rpartition(":")
         if name and (landmark_map is None or len(landmark_map.maps) < 2):
             raise InputError(f"expected no name of a map where there is one map, found {pose!r}", field="--start")
-        pose = given_pose(numbers) + (np.zeros(3) if landmark_map is None else landmark_map.origin(name))
+        pose = given_pose(numbers, further) + (np.zeros(3) if landmark_map is None else landmark_map.origin(name))
     return Start(t_ns, pose, np.diag(START_SIGMA**2))
 
 
-def given_pose(option: str) -> np.ndarray:
-    """Return the pose (3,) of `x,z,heading_deg`. Raises InputError."""
-    problem = f"expected x,z,heading_deg (metres and degrees, such as 1.5,-2,90), global or truth, found {option!r}"
+def given_pose(option: str, further: str = "") -> np.ndarray:
+    """Return the pose (3,) of `x,z,heading_deg`. further: what errors say is taken too. Raises InputError."""
+    problem = f"expected x,z,heading_deg (metres and degrees, such as 1.5,-2,90){further}, found {option!r}"
     try:
         x, z, heading_deg = (float(part) for part in option.split(","))
     except ValueError:

@@ -283,6 +283,8 @@ def test_bad_world_is_told_with_its_place(localiser: Localiser, tmp_path: Path) 
         (("convert", "drive.mp4", "log"), "--camera: missing: a video needs --camera FILE"),
         (("replay", "results"), "found results of replay, the newest first: results/b/2, results/a/1"),
         (("view", "results"), "found results of replay, the newest first: results/b/2, results/a/1"),
+        (("replay", CORRIDOR, "--start", "far"), "such as 1.5,-2,90), global or truth, found 'far'"),
+        (("live", "--map", CORRIDOR / "map.yaml", "--start", "global"), "such as 1.5,-2,90), found 'global'"),
         (("replay", CORRIDOR, "--set", "particles=500"), "unknown setting; did you mean mcl.particles?"),
         (("doctor", "--connect", "tcp/127.0.0.1:9"), "--connect: is a setting now: --set live.connect=ENDPOINT"),
         (("live", "--map", "map.yaml", "--namespace=robot1"), "--namespace: is a setting now: --set live.namespace="),
