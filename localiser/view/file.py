@@ -52,10 +52,6 @@ class RrdFile:
         self._open[0].frame(self._frames, frame)
         self._frames += 1
 
-    def message(self, t_ns: int, text: str, level: str = "INFO") -> None:
-        """Write a line to the text log."""
-        self._open[0].message(t_ns, text, level)
-
     def close(self, complete: bool) -> None:
         """End the file, which can be opened from now on; an incomplete run is said to be one in its text log.
 
