@@ -173,8 +173,6 @@ def write_log(
     groundtruth: Trajectory | None = None,
     start: Start | None = None,
     motion: Mapping[str, Any] | None = None,
-    image_suffix: Literal[".jpg", ".png"] = ".jpg",
-    jpeg_quality: int = 90,
 ) -> None:
     """Write a log folder, either whole or not at all; images or sightings, in the order of time, are taken one by one.
 
@@ -205,7 +203,7 @@ def write_log(
         part(
             "images",
             "images.csv",
-            lambda images, path: _write_images(images, of_mounts, path, image_suffix, jpeg_quality),
+            lambda images, path: _write_images(images, of_mounts, path),
             images,
         )
         ids = landmark_ids if landmark_map is None else landmark_map.ids
@@ -218,16 +216,12 @@ def write_log(
 
 
 def _write_images(
-    images: Iterable[tuple[int, Image | bytes]],
-    of_mounts: Mapping[str, Sequence[str]],
-    table: Path,
-    suffix: str,
-    jpeg_quality: int,
+    images: Iterable[tuple[int, Image | bytes]], of_mounts: Mapping[str, Sequence[str]], table: Path
 ) -> None:
     """Write the images and their table. of_mounts: the columns that say how the camera was mounted."""
     lines = [",".join(["t_ns", "file", *of_mounts])]
     for index, (t_ns, image) in enumerate(images):
-        data = image if isinstance(image, bytes) else encode_image(image, suffix, jpeg_quality)
+        data = image if isinstance(image, bytes) else encode_image(image, ".jpg", 90)
         name = f"images/{index:06d}{suffix_of(data)}"
         write_bytes(table.parent / name, data)
         lines.append(",".join([str(t_ns), name, *(column[index] for column in of_mounts.values())]))

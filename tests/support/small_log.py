@@ -9,7 +9,7 @@ from localiser.edges import Edges
 from localiser.filter import mcl
 from localiser.geometry import Trajectory
 from localiser.landmarks import LandmarkMap
-from localiser.storage import Image, write_log
+from localiser.storage import Image, encode_image, write_log
 
 CAMERA = Camera(
     width=64,
@@ -44,7 +44,7 @@ def image(index: int) -> Image:
 
 def write_small_log(folder: Path, suffix: str = ".jpg") -> Path:
     """Write the log with three images and return its folder."""
-    images = ((t_ns, image(index)) for index, t_ns in enumerate(IMAGE_TIMES))
+    images = ((t_ns, encode_image(image(index), suffix, 90)) for index, t_ns in enumerate(IMAGE_TIMES))
     write_log(
         folder,
         name="small",
@@ -54,7 +54,6 @@ def write_small_log(folder: Path, suffix: str = ".jpg") -> Path:
         landmark_map=MAP,
         groundtruth=TRUTH,
         start=START,
-        image_suffix=suffix,
     )
     return folder
 
