@@ -18,7 +18,7 @@ from localiser.mapping.merge import (
 )
 from localiser.mapping.plan import MOST_CELLS, FloorPlan, Mask, map_from_cells, plan_landmarks
 from localiser.mapping.quality import landmark_map_of
-from localiser.mapping.recorded import DRIVE, default_poses, edges_of_log, known_poses, start_on_map, wheels_of
+from localiser.mapping.recorded import default_poses, edges_of_log, known_poses, start_on_map, wheels_of
 from localiser.mapping.sightings import Index, Sightings, direction_of
 from localiser.mapping.slam import Slam, build_from_log
 from localiser.mapping.tracks import MappingParameters, follow

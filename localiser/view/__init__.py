@@ -3,4 +3,4 @@
 from localiser.view.file import RrdFile
 from localiser.view.palette import MATCHED, UNMATCHED, VISIBLE, Colour
 from localiser.view.paths import Context
-from localiser.view.viewer import Kind, LiveView, RecordingViewer, check_kind, owned_python
+from localiser.view.viewer import LiveView, RecordingViewer, check_kind, owned_python

@@ -9,7 +9,6 @@ from localiser.storage.bags.records import RosType
 from localiser.storage.bags.transforms import check_start, floor_pose, plain_frame, stamp_of, start_of_message
 from localiser.storage.bags.write import (
     FILE_KINDS,
-    KINDS,
     WHEELS_TOPIC,
     NewBag,
     anywhere_decision,
