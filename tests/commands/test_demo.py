@@ -104,8 +104,7 @@ def test_a_run_without_a_recording_cannot_be_viewed(localiser: Localiser, empty:
         assert (result.exit_code, result.out) == (2, "")
         assert "expected a recording, run.rrd" in result.err and "--no-rrd" in result.err
     (run / "run.rrd").write_bytes(b"RRF")
-    for given in (run, run / "run.rrd"):
-        assert r"run.rrd: expected a recording, which begins with b'RRF2', found b'RRF'" in localiser("view", given).err
+    assert "run.rrd: expected a recording, which begins with b'RRF2', found b'RRF'" in localiser("view", run).err
     nowhere = localiser("view", empty / "nowhere")
     assert nowhere.exit_code == 2 and "expected the folder of a run" in nowhere.err
 

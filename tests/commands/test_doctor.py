@@ -42,16 +42,13 @@ def test_a_package_of_the_extra_that_lacks_is_told(package: str) -> None:
     assert done.returncode == 2 and "pip install '.[live]'" in done.stderr and "Traceback" not in done.stderr
 
 
-def test_a_log_that_has_all_is_ready(localiser: Localiser) -> None:
+def test_a_log_that_has_all_is_ready_and_one_with_a_damaged_image_is_not(localiser: Localiser, tmp_path: Path) -> None:
     result = localiser("doctor", CORRIDOR)
     assert result.exit_code == 0
     rows = {row.split()[1]: " ".join(row.split()) for row in result.out.splitlines()}
     assert "640×480 pixels, 0.90 m high, tilt 20.0°" in rows["camera"]
     assert "5.0 Hz" in rows["images"] and "20.0 Hz" in rows["odometry"]
     assert rows["tilt"].startswith("ok") and rows["map"].startswith("ok")
-
-
-def test_a_damaged_image_is_told_with_what_was_looked_at_before(localiser: Localiser, tmp_path: Path) -> None:
     log = cut_log(CORRIDOR, tmp_path / "log", 2)
     (log / "images" / "000001.jpg").write_bytes((log / "images" / "000001.jpg").read_bytes()[:3000])
     result = localiser("doctor", log)
@@ -131,5 +128,4 @@ def test_images_pass_at_the_speed_they_were_taken_times_a_factor() -> None:
             step()
     gaps = [round(later - sooner, 6) for sooner, later in pairwise(passed)]
     assert gaps == [0.11, 0.1, 0.1, 0.1]
-    for fast in (1e9, float("inf")):
-        paced(advance, [0, 10**10], speed=fast)()
+    paced(advance, [0, 10**10], speed=float("inf"))()

@@ -316,9 +316,8 @@ def test_missing_files_of_the_other_commands(localiser: Localiser, tmp_path: Pat
     itself.symlink_to(itself)
     for arguments in (
         ["simulate", nowhere, "-o", tmp_path / "log"],
-        ["evaluate", nowhere],
+        *(["evaluate", path] for path in (nowhere, itself)),
         ["evaluate", tmp_path, "--truth", nowhere],
-        ["evaluate", itself],
         ["convert", write_edge_log(tmp_path / "edges"), itself, "--quiet"],
         ["config", "show", "--config", nowhere],
     ):

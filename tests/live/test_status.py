@@ -1,6 +1,6 @@
 """What a live run says while it runs, and the table at its end; the stand-in for a robot."""
 
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -67,15 +67,11 @@ def test_what_is_silent_from_the_begin_is_told_with_what_to_do() -> None:
     assert "image (0), at tcp/robot:7447, domain 0; no zenoh router answers" in text and "rmw_zenohd" in text
 
 
-def test_the_stand_in_of_a_demo_is_where_the_run_is(localiser: Localiser, monkeypatch: pytest.MonkeyPatch) -> None:
-    runs, reached = [], []
-    monkeypatch.setattr("localiser.commands.live._run", runs.append)
-    monkeypatch.setattr("localiser.commands.live._stand_in", lambda log, at: reached.extend(at) or nullcontext())
-    for said in ("live.namespace=robot1", "live.domain=7", "live.dds=7"):
-        assert localiser("live", "demo", CORRIDOR, "--set", said).exit_code == 0
-        ours, there = runs[-1].config.live, read_config(None, reached).live
-        assert (there.namespace, there.domain, there.dds) == (ours.namespace, ours.domain, ours.dds)
-        reached.clear()
+def test_the_stand_in_of_a_demo_is_where_the_run_is(localiser: Localiser) -> None:
+    with patch("localiser.commands.live._run"), patch("localiser.commands.live._stand_in") as stand_in:
+        localiser("live", "demo", CORRIDOR, "--set", "live.namespace=robot1", "--set", "live.domain=7")
+    there = read_config(None, stand_in.call_args.args[1]).live
+    assert (there.namespace, there.domain) == ("robot1", 7) and there.listen
 
 
 def test_a_source_that_was_heard_and_falls_silent_is_a_warning(monitor: Monitor, said: list[tuple[str, str]]) -> None:

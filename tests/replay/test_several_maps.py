@@ -57,8 +57,7 @@ def test_the_floor_is_found_and_poses_are_in_its_frame(localiser, files, tmp_pat
     drawn = np.concatenate([np.array(strip.as_py()) for strip in _lines(chunks)[-1]])
     assert np.abs(drawn[:, [0, 2]] - MAP.points.mean(axis=0) - SHIFT).max() < 20, "the map that is believed, alone"
     assert {path.suffix for path in tmp_path.iterdir()} >= {".rviz", ".json"}, "layouts"
-    kept = open_log(bag).landmark_map
-    assert kept is not None and [one.name for one in kept.maps] == [files[first].stem, files[1 - first].stem]
+    assert [one.name for one in open_log(bag).landmark_map.maps] == [files[first].stem, files[1 - first].stem]
     with AnyReader([bag]) as reader:
         read = [(c.topic, reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages()]
     poses = [message for topic, message in read if topic == "/localiser/pose"]
