@@ -236,9 +236,9 @@ class Tracker:
         A recording belongs to one map and ends here. A state that is saved from here on belongs to the new map.
         """
         before, camera = self.localiser, self.finder.camera
-        after = before and Localiser(landmark_map, camera, before.config)
+        after = None if before is None or camera is None else Localiser(landmark_map, camera, before.config)
         self.landmark_map, self.start, self.resumed = landmark_map, None, None
-        if before is None or after is None or camera is None:
+        if before is None or camera is None or after is None:
             return
         self.localiser = after
         self.outputs.end_recording("because it belongs to the map before")
