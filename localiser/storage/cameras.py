@@ -170,6 +170,7 @@ def camera_from_document(document: Document) -> Camera:
     off_px = float(np.abs(camera.pixels_from_image(camera.image_from_pixels(border)) - border).max())
     if model != "equidistant" and not off_px < MOST_LENS_OFF_PX:
         problem = f"expected a lens model that can be undone up to the image's border, found {off_px:.0f} px off there"
+        problem = f"{problem}; `camera calibrate --lens equidistant` finds one for wide lenses"
         raise document.error(("distortion_coefficients", "data"), problem)
     return camera
 
