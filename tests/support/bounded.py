@@ -1,4 +1,4 @@
-"""Python code in a process of its own, which may take only so much more memory and processor time than it has taken."""
+"""Python code in a process of its own, which may take only so much more memory, and time beside what it has taken."""
 
 import math
 import os
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from attack import processor_s
 
-MORE_MB, MORE_S = 300, 2
+MORE_MB, TIMES = 300, 3  # the processor's time in all is a multiple of that of the start, on any machine
 _PRELUDE = """
 def begin():
     print("ready", flush=True)
@@ -29,7 +29,7 @@ def bounded(code: str, *arguments: object) -> str:
         if child.stdout.readline() == "ready\n":
             pages = int(Path(f"/proc/{child.pid}/statm").read_text().split()[0])
             memory = pages * resource.getpagesize() + MORE_MB * 2**20
-            seconds = math.ceil(processor_s(child.pid)) + MORE_S
+            seconds = math.ceil(TIMES * processor_s(child.pid))
             resource.prlimit(child.pid, resource.RLIMIT_AS, (memory, memory))
             resource.prlimit(child.pid, resource.RLIMIT_CPU, (seconds, seconds))
         said, errors = child.communicate("\n")

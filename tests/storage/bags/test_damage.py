@@ -329,7 +329,7 @@ def test_a_pipe_in_place_of_a_bag_is_told(tmp_path: Path, name: str) -> None:
         open_log(path if path.parent == tmp_path else path.parent)
 
 
-MORE_S, MORE_MB = 2.0, 300.0  # than for a bag that is as it should be
+TIMES, MORE_MB = 5.0, 300.0  # what a bag may take of the processor and of memory, beside one that is as it should be
 READ = """
 import sys
 from pathlib import Path
@@ -380,7 +380,7 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, float]:
 def test_a_small_bag_takes_little(tmp_path: Path, usual: tuple[float, float], harm: str) -> None:
     said, seconds, memory_mb = read_alone(SWELLING[harm](tmp_path / "bag"))
     assert "expected" in said or "cannot be read as a value" in said, said
-    assert seconds < usual[0] + MORE_S and memory_mb < usual[1] + MORE_MB
+    assert seconds < TIMES * usual[0] and memory_mb < usual[1] + MORE_MB
 
 
 def test_one_large_image_is_read_however_small_it_is_compressed(tmp_path: Path) -> None:
