@@ -214,11 +214,15 @@ def calibrate(views: Sequence[BoardView], size: tuple[int, int], lens: str = "pl
 def _calibrated(
     views: tuple[BoardView, ...], size: tuple[int, int], lens: str, coefficients: tuple[str, ...]
 ) -> Intrinsics:
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # several add up in another order each time
     try:
         matrix, distortion, poses, sigma, pose_sigma = _minimised(views, size, lens, coefficients)
     except cv2.error as error:
         problem = f"the views do not tell the camera ({' '.join(str(error.err).split())}); take others, at more angles"
         raise InputError(problem) from None
+    finally:
+        cv2.setNumThreads(threads)
     parameters = ("fx", "fy", "cx", "cy", *coefficients)
     values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion[: len(coefficients)]])
     fx, fy, cx, cy, *found = (float(value) for value in values)

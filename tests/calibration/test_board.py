@@ -99,6 +99,11 @@ def test_a_view_that_does_not_fit_is_named():
     assert calibrate(exact_views(CAMERA), SIZE).outliers == []
 
 
+def test_what_views_hardly_tell_is_the_same_each_time():
+    found = {calibrate(exact_views(CAMERA, count=4), SIZE, "rational_polynomial").camera.distortion for _ in range(8)}
+    assert len(found) == 1
+
+
 def test_views_from_straight_ahead_do_not_tell_the_focal_length():
     with pytest.raises(InputError, match="do not tell"):
         calibrate(exact_views(CAMERA, count=6, turn_rad=1e-3), SIZE)
