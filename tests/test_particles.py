@@ -104,8 +104,7 @@ def test_only_headings_are_wrapped():
     columns = np.array([[3.0, -3.0], [0.0, 0.0], [3.0, -3.0], [3.0, -3.0]])
     found = particles_of(columns, names=(*POSE, "veer")).estimate
     assert abs(found.mean[2]) == pytest.approx(np.pi)
-    assert found.mean[0] == found.mean[3] == 0
-    assert found.pose_cov[0, 0] == found.cov[3, 3] == 9
+    assert found.mean[0] == found.mean[3] == 0 and found.pose_cov[0, 0] == found.cov[3, 3] == 9
     assert found.pose_cov[2, 2] == pytest.approx((np.pi - 3) ** 2)
 
 
@@ -122,8 +121,7 @@ def test_drawn_particles_have_the_mean_and_covariance_asked_for():
     mean, count = np.array([2.0, -1.0, np.pi - 0.01]), 40_000
     cov = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.0025]])
     particles = from_gaussian(mean, cov, count, np.random.default_rng(5))
-    assert len(particles) == count
-    assert (np.abs(particles["heading"]) <= np.pi).all()
+    assert len(particles) == count and (np.abs(particles["heading"]) <= np.pi).all()
     found = particles.estimate
     # 4 standard errors: √(C_ii / n) of a mean, √((C_ii C_jj + C_ij²) / n) of a covariance.
     variance = np.diag(cov)
@@ -181,9 +179,7 @@ def test_mean_offspring_is_the_share_of_the_weight(resample, weight, count):
 @given(weight=weights, count=st.integers(1, 80), seed=st.integers(0, 100))
 def test_indices_are_ascending_and_never_of_a_particle_without_weight(resample, weight, count, seed):
     index = resample(weight, count, np.random.default_rng(seed))
-    assert len(index) == count
-    assert (np.diff(index) >= 0).all()
-    assert (weight[index] > 0).all()
+    assert len(index) == count and (np.diff(index) >= 0).all() and (weight[index] > 0).all()
 
 
 @schemes
@@ -193,8 +189,7 @@ def test_a_sum_that_rounding_leaves_beside_one_loses_nobody(resample, weight, un
     """cumsum of ten times 0.1 ends below 1, so a draw next to 1 would fall off the end."""
     weight = np.array(weight)
     index = resample(weight, 30, Draw(uniform))
-    assert len(index) == 30
-    assert (weight[index] > 0).all()
+    assert len(index) == 30 and (weight[index] > 0).all()
 
 
 @schemes
@@ -209,8 +204,7 @@ def test_systematic_offspring_are_the_whole_numbers_beside_what_is_expected(weig
     index = systematic_resample(weight, count, np.random.default_rng(seed))
     offspring = np.bincount(index, minlength=len(weight))
     expected = count * weight / weight.sum()
-    assert (offspring >= np.floor(expected - 1e-9)).all()
-    assert (offspring <= np.ceil(expected + 1e-9)).all()
+    assert (np.abs(offspring - expected) < 1.0 + 1e-9).all()
 
 
 @schemes
@@ -277,8 +271,7 @@ def test_a_thin_trail_joins_nothing():
     poses = np.concatenate([ends, trail])
     assert len(find_clusters(poses, np.ones(len(poses)), mass=1.0)) == 1
     found = find_clusters(poses, np.ones(len(poses)))
-    assert len(found) == 2
-    assert 0.95 <= found.weight.sum() < 1
+    assert len(found) == 2 and 0.95 <= found.weight.sum() < 1
 
 
 def test_a_winding_chain_is_one_cluster():
@@ -320,8 +313,7 @@ def test_sums_add_up_and_clusters_are_sorted(seed, count, mass):
     poses = rng.uniform([-3, -3, -np.pi], [3, 3, np.pi], (count, 3))
     weight = rng.exponential(size=count)
     found = find_clusters(poses, weight, mass=mass)
-    assert mass - 1e-9 <= found.weight.sum() <= 1 + 1e-9
-    assert (np.diff(found.weight) <= 0).all()
+    assert mass - 1e-9 <= found.weight.sum() <= 1 + 1e-9 and (np.diff(found.weight) <= 0).all()
     np.testing.assert_array_equal(np.unique(found.label[found.label >= 0]), np.arange(len(found)))
     assert (np.linalg.eigvalsh(found.cov) > -1e-12).all()
 

@@ -166,13 +166,19 @@ def camera_from_document(document: Document) -> Camera:
     if not left < 0 < right:
         problem = f"expected a principal point between the image's left and right border, found cx = {intrinsics[2]:g}"
         raise document.error(("camera_matrix", "data"), problem)
-    border = camera.border_px().reshape(-1, 2)
-    off_px = float(np.abs(camera.pixels_from_image(camera.image_from_pixels(border)) - border).max())
-    if model != "equidistant" and not off_px < MOST_LENS_OFF_PX:
-        problem = f"expected a lens model that can be undone up to the image's border, found {off_px:.0f} px off there"
-        problem = f"{problem}; `camera calibrate --lens equidistant` finds one for wide lenses"
+    if problem := lens_problem(camera):
         raise document.error(("distortion_coefficients", "data"), problem)
     return camera
+
+
+def lens_problem(camera: Camera) -> str:
+    """Return what is wrong with a lens model that cannot be undone in the whole image, "" where nothing is."""
+    border = camera.border_px().reshape(-1, 2)
+    off_px = float(np.abs(camera.pixels_from_image(camera.image_from_pixels(border)) - border).max())
+    if camera.distortion_model == "equidistant" or off_px < MOST_LENS_OFF_PX:
+        return ""
+    problem = f"expected a lens model that can be undone up to the image's border, found {off_px:.0f} px off there"
+    return f"{problem}; `camera calibrate --lens equidistant` finds one for wide lenses"
 
 
 def shutter_of(stated: ShutterFile | None, height: int, document: Document) -> RollingShutter | None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from localiser.documents import load, validate
 from localiser.edges import BearingSensor
-from localiser.errors import InputError
+from localiser.errors import InputError, warn
 from localiser.filter import Start
 from localiser.storage.bags import BagReader
 from localiser.storage.files import kind_of
@@ -52,7 +52,12 @@ def open_log(
         if given and name not in reader.options:
             option = f"--{name.removesuffix('s')}"
             raise InputError(f"{option} is for ROS bags, found a log of the format {reader.format!r}", path=path)
-    return reader.read(path, ReadOptions(sensor or BearingSensor(), topics or {}, camera))
+    log = reader.read(path, ReadOptions(sensor or BearingSensor(), topics or {}, camera))
+    truth = log.groundtruth
+    if truth is not None and not (log.frames[0].t_ns <= truth.t_ns[-1] and truth.t_ns[0] <= log.frames[-1].t_ns):
+        images, poses = (f"from {times[0]} to {times[-1]} ns" for times in ([f.t_ns for f in log.frames], truth.t_ns))
+        warn(f"the true poses, {poses}, are of another time than the images, {images}: no errors are told", path=path)
+    return log
 
 
 def _listed(names: list[str]) -> str:

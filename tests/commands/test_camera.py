@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,7 @@ from PIL import Image
 from short_log import CORRIDOR, FEW_PARTICLES, FRAMES, Localiser, cut_log
 from small_log import write_edge_log, write_small_log
 
-from localiser.calibration import Board
+from localiser.calibration import Board, calibrate
 from localiser.commands.doctor_checks import offset_finding
 from localiser.edges import find_edges
 from localiser.errors import InputError
@@ -65,10 +66,8 @@ def test_images_without_edges_are_told_and_not_written(localiser: Localiser, tmp
     result = localiser("camera", "tilt", log)
     assert result.exit_code == 0 and "hardly tell the tilt" in result.err
     result = localiser("camera", "tilt", log, "-o", tmp_path / "out")
-    assert result.exit_code == 2
-    assert "not written" in result.err and str(log) in result.err
-    assert (log / "camera.yaml").read_bytes() == before
-    assert not (tmp_path / "out").exists()
+    assert result.exit_code == 2 and "not written" in result.err and str(log) in result.err
+    assert (log / "camera.yaml").read_bytes() == before and not (tmp_path / "out").exists()
 
 
 # -- sync -------------------------------------------------------------------------------------------------------------
@@ -154,8 +153,7 @@ def test_doctor_tells_the_offset_of_clocks(shifted: Path) -> None:
 
 def test_replay_warns_once_when_edges_contradict_the_stated_tilt(localiser, log, tmp_path):
     result = localiser("replay", log, "--out", tmp_path / "out", "--no-rrd", *FEW_PARTICLES)
-    assert result.exit_code == 0
-    assert result.err.count(f"localiser camera tilt {log}") == 1
+    assert result.exit_code == 0 and result.err.count(f"localiser camera tilt {log}") == 1
     (metrics,) = (tmp_path / "out").glob("*/1/metrics.json")
     figures = json.loads(metrics.read_text())
     assert abs(figures["tilt_found_deg"] - 20.0) < 0.3 and len(figures["warnings"]) == 1
@@ -188,8 +186,7 @@ def test_calibrated_camera_file_is_read_back(localiser: Localiser, images: list[
     for text in ("0.png", "3.png", "error (px)", "fx (px)", "k1", "tilt (°)", "height (m)"):
         assert text in result.out
     camera = read_camera(out)
-    assert camera.name == "camera"
-    assert camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
+    assert camera.name == "camera" and camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
     assert camera.mount.tilt_rad == pytest.approx(CAMERA.mount.tilt_rad, abs=np.deg2rad(0.5))
     assert camera.mount.height_m == pytest.approx(CAMERA.mount.height_m, abs=0.02)
     again = localiser("camera", "calibrate", *images, *OPTIONS, "-o", out)
@@ -202,6 +199,13 @@ def test_without_floor_the_mount_is_asked_for(localiser: Localiser, images: list
     assert result.exit_code == 0 and "no mount yet" in result.err
     with pytest.raises(InputError, match="mount"):
         read_camera(out)
+
+
+def test_a_lens_that_folds_in_the_image_is_not_written(localiser, images, tmp_path, monkeypatch):
+    folds = replace(CAMERA, distortion=(-0.9, 0.0, 0.0, 0.0, 0.0))
+    monkeypatch.setattr("localiser.calibration.calibrate", lambda *given: replace(calibrate(*given), camera=folds))
+    result = localiser("camera", "calibrate", *images, *OPTIONS, "-o", tmp_path / "c")
+    assert result.exit_code == 2 and "undone up to the image's border" in result.err and not (tmp_path / "c").exists()
 
 
 def test_images_without_the_board_are_listed_and_too_few_refused(localiser, images, tmp_path):

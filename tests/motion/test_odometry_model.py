@@ -67,8 +67,7 @@ def test_mean_and_covariance_are_those_of_the_linearised_model(motion: list[floa
 def test_variances_are_those_stated_per_metre_and_per_radian() -> None:
     increment = Increment(np.array([0.0, -1.0, 0.2]), np.zeros((3, 3)), path_m=3.0, turned_rad=0.5)
     distance, turn = noise_variances(increment, MotionParameters(0.1, 0.2, 0.3, 0.4))
-    assert distance == pytest.approx(0.3 * 3.0 + 0.4 * 0.5)
-    assert turn == pytest.approx(0.1 * 0.5 + 0.2 * 3.0)
+    assert distance == pytest.approx(0.3 * 3.0 + 0.4 * 0.5) and turn == pytest.approx(0.1 * 0.5 + 0.2 * 3.0)
 
 
 def test_a_robot_that_drives_straight_errs_along_its_way_and_sideways_by_half_its_turn() -> None:

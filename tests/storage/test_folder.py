@@ -11,7 +11,7 @@ import pytest
 from small_log import CAMERA, IMAGE_TIMES, MAP, ODOMETRY, START, TRUTH, image, write_edge_log, write_small_log
 
 from localiser.camera import Mount, MountSigma
-from localiser.errors import InputError, OutputError
+from localiser.errors import InputError, InputWarning, OutputError
 from localiser.filter import mcl
 from localiser.storage import (
     FORMATS,
@@ -42,10 +42,7 @@ def log_folder(written: Path, tmp_path: Path) -> Path:
 
 def test_log_is_read_back(written: Path) -> None:
     log = open_log(written)
-    assert log.name == "small"
-    assert log.has_images
-    assert log.duration_s == 0.2
-    assert log.camera.width == CAMERA.width
+    assert (log.name, log.has_images, log.duration_s, log.camera.width) == ("small", True, 0.2, CAMERA.width)
     assert log.landmark_map is not None and log.landmark_map.ids == MAP.ids
     np.testing.assert_allclose(log.odometry.poses, ODOMETRY.poses, atol=1e-9)
     np.testing.assert_allclose(log.groundtruth.poses, TRUTH.poses, atol=1e-9)
@@ -148,13 +145,18 @@ def test_what_is_wrong_is_named_when_the_log_is_opened(log_folder, change, expec
     change(log_folder)
     with pytest.raises(InputError) as caught:
         open_log(log_folder)
-    assert str(caught.value).startswith(str(log_folder))
-    assert expected in str(caught.value)
+    assert str(caught.value).startswith(str(log_folder)) and expected in str(caught.value)
 
 
 def test_images_and_odometry_must_overlap(log_folder: Path) -> None:
     (log_folder / "images.csv").write_text("t_ns,file\n900000000,images/000000.png\n")
     with pytest.raises(InputError, match="expected odometry during the images, found odometry from 0 to 200000000 ns"):
+        open_log(log_folder)
+
+
+def test_truth_of_another_time_is_told(log_folder: Path) -> None:
+    (log_folder / "groundtruth.csv").write_text("t_ns,x,z,heading\n900000000,0,0,0\n")
+    with pytest.warns(InputWarning, match="of another time than the images"):
         open_log(log_folder)
 
 
@@ -223,8 +225,7 @@ def test_an_empty_cell_means_what_the_camera_file_says(written: Path, tmp_path: 
     first, second, third = mounts_of(with_columns(written, tmp_path / "log", header, "25,,", ",1.5,0.2", ",,"))
     usual = open_log(written).camera.mount
     assert first == replace(usual, tilt_rad=np.radians(25.0))
-    assert second == replace(usual, height_m=1.5, sigma=MountSigma(tilt_rad=np.radians(0.2)))
-    assert third is None
+    assert second == replace(usual, height_m=1.5, sigma=MountSigma(tilt_rad=np.radians(0.2))) and third is None
 
 
 def test_mounts_are_read_back_as_they_were_written(tmp_path: Path) -> None:

@@ -67,7 +67,7 @@ def calibrate(
 ) -> None:
     """Find focal length, principal point and lens distortion from IMAGES of a board; with --floor tilt and height."""
     from localiser.calibration import Board
-    from localiser.storage import require_new_file
+    from localiser.storage import lens_problem, require_new_file
 
     try:
         columns, rows = (int(part) for part in squares.lower().split("x"))
@@ -91,6 +91,8 @@ def calibrate(
         found = calibrate_by(images, floor, wanted, lens, advance)
     if not is_quiet():
         _show(found)
+    if problem := lens_problem(found.camera):
+        raise InputError(f"{problem}; more images of the board near the border tell the lens there", field="--lens")
     if out is not None:
         write_calibration(found, out, out.stem)
         typer.echo(f"Written to {out}")
