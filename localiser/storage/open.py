@@ -7,11 +7,12 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from localiser.documents import load, validate
+from localiser.documents import Document, load, validate
 from localiser.edges import BearingSensor
 from localiser.errors import InputError, warn
 from localiser.filter import Start
 from localiser.storage.bags import BagReader
+from localiser.storage.cameras import camera_data, camera_from_document
 from localiser.storage.files import kind_of
 from localiser.storage.folder import FolderReader
 from localiser.storage.images import encode_image, image_event
@@ -83,7 +84,12 @@ def simulate_log(world: World | Path | str, seed: int = 0) -> Log:
     from localiser.simulate import simulated_log
 
     path = Path(world) if isinstance(world, Path | str) else Path()
-    made = simulated_log(read_world(world) if isinstance(world, Path | str) else world, seed)
+    world = read_world(world) if isinstance(world, Path | str) else world
+    try:  # a log can be read whose camera can
+        camera_from_document(Document(camera_data(world.camera.camera()), {}))
+    except InputError as error:
+        raise InputError(error.problem, path=path, field=f"camera: {error.field}") from None
+    made = simulated_log(world, seed)
     if not len(made.landmark_map):
         raise InputError(
             "expected a drive on which landmarks are seen long enough for the map, found none",

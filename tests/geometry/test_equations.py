@@ -171,8 +171,7 @@ def test_ros_axes_and_yaw():
 def test_ros_conversion_goes_both_ways(pose):
     assert_same_pose(g.pose_from_ros(g.ros_from_pose(pose)), pose)
     assert_same_pose(g.ros_from_pose(g.pose_from_ros(pose)), pose)
-    assert -np.pi <= g.pose_from_ros(pose)[2] < np.pi
-    assert -np.pi <= g.ros_from_pose(pose)[2] < np.pi
+    assert -np.pi <= g.pose_from_ros(pose)[2] < np.pi and -np.pi <= g.ros_from_pose(pose)[2] < np.pi
 
 
 @given(pose=poses, step_m=st.floats(0.1, 5))
@@ -218,14 +217,12 @@ def test_slope_is_that_of_any_two_points_of_the_edge(bearing, range_m, y_1, y_2,
 def test_bearing_survives_lean_and_slope(bearing, tilt):
     lean = g.lean_from_bearing(bearing, tilt)
     assert g.bearing_from_lean(lean, tilt) == pytest.approx(bearing, abs=1e-12)
-    assert lean_from_slope(g.slope_from_lean(lean)) == pytest.approx(lean, abs=1e-12)
-    assert lean * bearing >= 0
+    assert lean_from_slope(g.slope_from_lean(lean)) == pytest.approx(lean, abs=1e-12) and lean * bearing >= 0
 
 
 def test_edge_straight_ahead_has_infinite_slope_and_no_lean():
     assert slope_from_point(0.0, -3.0, TILT) == np.inf
-    assert lean_from_slope(np.inf) == lean_from_slope(-np.inf) == 0
-    assert g.slope_from_lean(0.0) == np.inf
+    assert lean_from_slope(np.inf) == lean_from_slope(-np.inf) == 0 and g.slope_from_lean(0.0) == np.inf
     assert g.lean_from_bearing(0.0, TILT) == g.bearing_from_lean(0.0, TILT) == 0
 
 
@@ -302,15 +299,13 @@ def test_depth_and_motion_from_two_slopes(x, z_1, d, tilt):
 def test_neither_an_edge_straight_ahead_nor_a_robot_that_stands_tells_depth():
     assert np.isnan(depth_from_slopes(2.0, 2.0, 0.0))
     m_1, m_2 = slope_from_point(0.0, np.array([-2.0, -1.5]), TILT)
-    assert np.isnan(depth_from_slopes(m_1, m_2, -0.5))
-    assert np.isnan(motion_from_slopes(m_1, m_2, -2.0))
+    assert np.isnan(depth_from_slopes(m_1, m_2, -0.5)) and np.isnan(motion_from_slopes(m_1, m_2, -2.0))
 
 
 def test_edge_that_comes_to_stand_beside_the_camera_gives_its_depth():
     m_1, m_2 = slope_from_point(1.0, np.array([-2.0, 0.0]), TILT)
     assert depth_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0)
-    assert motion_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0)
-    assert depth_from_slopes(m_2, m_1, 2.0) == 0
+    assert motion_from_slopes(m_1, m_2, -2.0) == pytest.approx(-2.0) and depth_from_slopes(m_2, m_1, 2.0) == 0
     assert np.isnan(motion_from_slopes(m_2, m_1, 0.0))  # 0 m at first: the ratio of the depths is lost
 
 

@@ -120,8 +120,7 @@ def test_every_pixel_shows_the_nearest_surface() -> None:
         same_hue = {"floor", "post"}
         wrong += nearest != name and not {nearest, name} <= same_hue
         names.add(name)
-    assert wrong == 0
-    assert names == {"low", "hanging", "wall", "floor", "post"}
+    assert wrong == 0 and names == {"low", "hanging", "wall", "floor", "post"}
 
 
 def first_solid(scene: Scene, robot: Array, pixel: Array) -> str:
@@ -144,8 +143,7 @@ def test_the_same_generator_gives_the_same_image_and_noise_has_its_sigma(scene: 
     scene = replace(scene, world=world_of(world_data(image={"noise_sigma": 2.0, "colour": False})))
     robot = np.array([0.0, 2.0, 0.0])
     one, two, other = (render(scene, robot, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    assert one.shape == (480, 640)
-    assert one.dtype == np.uint8
+    assert one.shape == (480, 640) and one.dtype == np.uint8
     np.testing.assert_array_equal(one, two)
     difference = one.astype(float) - other
     assert abs(difference.std() - np.sqrt(2) * np.hypot(2.0, 1 / np.sqrt(12))) < 0.05

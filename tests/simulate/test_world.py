@@ -16,6 +16,7 @@ from localiser.simulate.render import scene_of
 from localiser.simulate.solids import clearance_m, solids_of
 from localiser.simulate.structure import structure_of, vertical_edges
 from localiser.simulate.world import DriveSpec, OdometrySpec, World, world_of
+from localiser.storage import simulate_log
 
 WORLDS = sorted((ROOT / "configs" / "worlds").glob("*.yaml"))
 
@@ -127,8 +128,7 @@ def test_an_open_door_leaf_stands_at_its_hinge_on_its_side(hinge: str, side: str
     # From [0, 0] to [4, 0] left is -z.
     solids = solids_of(world(walls=[{"from": [0, 0], "to": [4, 0], "doors": [door]}]))
     corners = solids.corners[solids.material.index("door")]
-    assert np.abs(corners[:, 0] - x).max() < 0.08
-    assert z_sign * corners[:, 1].sum() > 0
+    assert np.abs(corners[:, 0] - x).max() < 0.08 and z_sign * corners[:, 1].sum() > 0
     assert 0.9 < np.abs(corners[:, 1]).max() < 1.0
 
 
@@ -175,10 +175,17 @@ def test_clearance_is_the_distance_from_the_nearest_solid_in_the_robots_way() ->
 @pytest.mark.parametrize("path", WORLDS, ids=lambda path: path.stem)
 def test_worlds_that_ship_are_valid(path: Path) -> None:
     shipped = world_of(yaml.safe_load(path.read_text(encoding="utf-8")))
-    assert shipped.name == path.stem
-    assert len(structure_of(shipped).landmark_map) > 30
+    assert shipped.name == path.stem and len(structure_of(shipped).landmark_map) > 30
     way = truth_of(shipped.drive).poses[:, :2]
     assert clearance_m(solids_of(shipped), way, shipped.camera.mount.height_m).min() > 0.2
+
+
+@pytest.mark.parametrize(
+    "changes", [{"focal_px": 0.5}, {"distortion_model": "plumb_bob", "distortion": [-0.9] + 4 * [0]}]
+)
+def test_a_camera_whose_file_could_not_be_read_again_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"camera: (camera_matrix|distortion_coefficients)\.data: expected"):
+        simulate_log(world(camera=CAMERA | changes))
 
 
 def test_a_drive_without_an_end_in_sight_is_refused() -> None:
