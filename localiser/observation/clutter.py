@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from localiser.geometry import Array, Increment, between, compose, wrap_angle
 from localiser.geometry.compiled import compiled
-from localiser.landmarks import field_of_view_rad, half_view_rad
+from localiser.landmarks import half_view_rad
 from localiser.observation.frame import ROW_PX, SIGMA_PX, Frame
 
 NEAREST_M = 1.0  # things on no map are farther away
@@ -70,7 +70,7 @@ def persistent_clutter(now: Frame, image: EarlierFrame, clutter: Array | None = 
     peak = np.exp(-0.5 * square[edge, of]) / np.sqrt(2 * np.pi * variance[edge, of])
     share = 1.0 if clutter is None else clutter[of]
     density = np.ones(len(bearing))
-    density[edge] = np.maximum(share * field_of_view_rad(now.camera) * peak + 1.0 - share, 1.0)
+    density[edge] = np.maximum(share * now.clutter[edge, _SPAN] * peak + 1.0 - share, 1.0)
     return density
 
 

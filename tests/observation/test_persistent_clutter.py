@@ -118,6 +118,13 @@ def test_to_be_seen_again_tells_less_than_to_be_seen(kind: Literal["line", "slop
     assert 0.0 < known < 0.5 * new
 
 
+def test_by_slope_the_density_is_one_of_leans() -> None:
+    frame = EdgeObservation(CAMERA, ObservationParameters(kind="slope")).frame(one_edge(0.45))
+    span = 2 * np.arctan(0.639 * np.tan(CAMERA.mount.tilt_rad))
+    found = persistent_clutter(frame, EarlierFrame(frame, np.zeros(3), 0.0))
+    np.testing.assert_allclose(found, span / np.sqrt(4 * np.pi) / frame.edges.lean_sigma)
+
+
 @pytest.mark.parametrize("step", [(0.0, -0.3, 0.0), (0.0, -0.1, 0.3)])
 @pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.3, -0.4, 0.0), (0.0, 0.0, np.pi / 2), (0.1, -0.2, -0.7)])
 def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tuple[float, float, float]) -> None:
@@ -132,7 +139,7 @@ def test_it_is_the_camera_that_moves(mount: tuple[float, float, float], step: tu
     right, back = robot_from_map(camera.robot_from_level, compose(step, camera.robot_from_level)[:2])
     across = float(right + back * 0.1)  # at a bearing of 0.1
     sigma = np.sqrt(2 * SIGMA**2 + across**2 / 12)
-    assert clutter == pytest.approx(field_of_view_rad(camera) / np.sqrt(2 * np.pi) / sigma, rel=0.2)
+    assert clutter == pytest.approx(SPAN / np.sqrt(2 * np.pi) / sigma, rel=0.2)
 
 
 @pytest.mark.parametrize(("bearings", "is_dense"), [((-0.2, -0.2), True), ((-0.2, 0.3), False), ((0.14, 0.14), False)])
