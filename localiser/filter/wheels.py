@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from localiser.filter.height import IMAGE_POWER
-from localiser.geometry import Array, Increment, between, wrap_angle
+from localiser.geometry import Array, Increment, between, robot_from_map, wrap_angle
 from localiser.particles import Estimate
 from localiser.visual_odometry import (
     Gaussian,
@@ -97,8 +97,11 @@ class Wheels:
             return replace(self, pose=None if estimate is None else estimate.pose, pace=None)
         if seconds <= 0 or not self.fit:
             return replace(self, pose=estimate.pose)
-        pace = between(self.pose, estimate.pose) / seconds
-        return replace(self, pose=estimate.pose, pace=Gaussian(pace, estimate.pose_cov / seconds**2))
+        in_robot = np.eye(3)
+        in_robot[:2, :2] = robot_from_map([0.0, 0.0, self.pose[2]], np.eye(2)).T
+        cov = in_robot @ estimate.pose_cov @ in_robot.T / seconds**2
+        pace = Gaussian(between(self.pose, estimate.pose) / seconds, cov)
+        return replace(self, pose=estimate.pose, pace=pace)
 
 
 def _log_odds(probability: float) -> float:

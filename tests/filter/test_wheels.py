@@ -102,6 +102,13 @@ def test_an_image_that_does_not_fit_leaves_the_pace_of_before() -> None:
     assert again.pace is told.pace  # of two images at one time the second tells no speed
 
 
+def test_the_pace_errs_in_the_robots_frame() -> None:
+    pose, cov = np.array([0.0, 0.0, 0.5]), np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.003], [0.0, 0.003, 0.01]])
+    told = Wheels(pose=pose).located(Estimate(POSE, pose, cov), 0.5)
+    axes = np.column_stack([between(pose, pose + step) for step in np.eye(3)])
+    np.testing.assert_allclose(told.pace.cov, axes @ cov @ axes.T / 0.25, atol=1e-15)
+
+
 def test_an_image_without_edges_leaves_the_pace_while_wheels_are_doubted() -> None:
     """Its particles follow the wheels, so wheels that stand still would agree with a pace of 0 from then on."""
     log, edges = corridor_with_edges()
