@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from localiser.geometry import Array, Increment, between
+from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel, covariance_of
 from localiser.observation import SEEN_AGAIN, EarlierFrame, EdgeObservation, Sighting, scene_clutter
 
@@ -74,20 +74,15 @@ class Scene:
         increment: the motion since the last image.
         """
         now, usual, jump = self.moved.then(increment), self.usual, Jump(1.0)
-
-        def way_since(image: SeenImage) -> tuple[float, float]:
-            return now.path_m - image.moved.path_m, now.turned_rad - image.moved.turned_rad
-
-        away = [m / SCENE_M + rad / SCENE_RAD for m, rad in map(way_since, self.images)]  # scenes
+        ways = [(now.path_m - one.moved.path_m, now.turned_rad - one.moved.turned_rad) for one in self.images]
+        away = [m / SCENE_M + rad / SCENE_RAD for m, rad in ways]  # scenes
         back = sum(scenes >= 1.0 for scenes in away)  # how many are a scene back
         first = max(back - WITH_OLDER, 0)
         images, away = self.images[first:], away[first:]
         frame = observation.frame(sighting.edges)
 
         def before(image: SeenImage) -> EarlierFrame:
-            cov = np.zeros((3, 3))
-            cov[2, 2] = max(now.cov[2, 2] - image.moved.cov[2, 2], 0.0)  # of edges that tell the motion; turns add up
-            since = Increment(between(image.moved.mean, now.mean), cov, *way_since(image))
+            since = now.since(image.moved)
             turn_var = float(covariance_of(motion, since)[2, 2])
             return EarlierFrame.of(observation.frame(image.sighting.edges), frame, since, turn_var)
 

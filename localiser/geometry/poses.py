@@ -181,9 +181,10 @@ class Increment:
     """A motion of the robot between two instants, from wheels or from vision.
 
     mean: (3,) motion (right m, backward m, turn rad) in the robot frame at the first instant.
-    cov: (3, 3) covariance of `mean`; zeros leave the noise to the motion model.
+    cov: (3, 3) covariance of `mean`, but for the noise of wheels that the motion model knows.
     path_m, turned_rad: how far the robot drove and turned on the way, which is more than `mean` where it went to and
         fro; the motion model's noise grows with these.
+    told: (2,) the parts of path_m and turned_rad whose noise is in `cov`.
     by_delay: (3,) how `mean` changes per second by which the robot is later than its odometry.
     """
 
@@ -192,13 +193,16 @@ class Increment:
     path_m: float
     turned_rad: float
     by_delay: Array = field(default_factory=lambda: np.zeros(3))
+    told: Array = field(default_factory=lambda: np.zeros(2))
 
     @classmethod
     def from_mean(cls, mean: ArrayLike, cov: ArrayLike | None = None) -> Increment:
         """Return the increment of one straight move: path and turn are those of `mean` (3,)."""
         mean = np.asarray(mean, dtype=np.float64)
-        cov = np.zeros((3, 3)) if cov is None else np.asarray(cov, dtype=np.float64)
-        return cls(mean, cov, float(np.hypot(mean[0], mean[1])), float(abs(mean[2])))
+        path_m, turned_rad = float(np.hypot(mean[0], mean[1])), float(abs(mean[2]))
+        if cov is None:
+            return cls(mean, np.zeros((3, 3)), path_m, turned_rad)
+        return cls(mean, np.asarray(cov, dtype=np.float64), path_m, turned_rad, told=np.array([path_m, turned_rad]))
 
     def then(self, later: Increment) -> Increment:
         """Return this motion followed by `later`; covariances are carried to first order.
@@ -212,7 +216,14 @@ class Increment:
         cov = jac_self @ self.cov @ jac_self.T + jac_later @ later.cov @ jac_later.T
         path_m, turned_rad = float(self.path_m + later.path_m), float(self.turned_rad + later.turned_rad)
         by_delay = jac_self @ self.by_delay + jac_later @ later.by_delay
-        return Increment(compose(self.mean, later.mean), cov, path_m, turned_rad, by_delay)
+        return Increment(compose(self.mean, later.mean), cov, path_m, turned_rad, by_delay, self.told + later.told)
+
+    def since(self, earlier: Increment) -> Increment:
+        """Return what of this motion came after `earlier`, its beginning; of the covariance the turn's variance."""
+        cov = np.zeros((3, 3))
+        cov[2, 2] = max(self.cov[2, 2] - earlier.cov[2, 2], 0.0)  # turns add up
+        path_m, turned_rad = self.path_m - earlier.path_m, self.turned_rad - earlier.turned_rad
+        return Increment(between(earlier.mean, self.mean), cov, path_m, turned_rad, told=self.told - earlier.told)
 
 
 def finite_numbers(name: str, values: ArrayLike, *shapes: tuple[int | str, ...]) -> Array:

@@ -103,8 +103,8 @@ class MotionParameters:
         """Return how particles move by `increment`, each by what it knows of the constant errors.
 
         Half of the turn's noise comes before the translation and half after it, so that heading and sideways error are
-        correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. An increment that knows its own
-        covariance (vision) errs by a draw from that instead, and tells nothing of them.
+        correlated as on a wheeled robot [Thrun, Burgard, Fox 2005, table 5.6]. What vision told of an increment errs by
+        a draw from its covariance, and tells nothing of them.
         """
         direction, ahead_m, noise, effects, _ = _step_of(increment, self)
         of_others = np.zeros((3, len(particles.constant_error_cov)))
@@ -181,11 +181,10 @@ def covariance_of(model: MotionModel, increment: Increment) -> Array:
 
 
 def noise_variances(increment: Increment, parameters: MotionParameters) -> tuple[float, float]:
-    """Return the variances (m², rad²) of the distance and of the turn; 0 where the increment knows its covariance."""
-    if increment.cov.any():
-        return 0.0, 0.0
-    distance = parameters.alpha3 * increment.path_m + parameters.alpha4 * increment.turned_rad
-    turn = parameters.alpha1 * increment.turned_rad + parameters.alpha2 * increment.path_m
+    """Return the variances (m², rad²) of the distance and the turn that wheels measured."""
+    path_m, turned_rad = increment.path_m - float(increment.told[0]), increment.turned_rad - float(increment.told[1])
+    distance = parameters.alpha3 * path_m + parameters.alpha4 * turned_rad
+    turn = parameters.alpha1 * turned_rad + parameters.alpha2 * path_m
     return distance, turn
 
 
@@ -209,7 +208,7 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
 
     A step is (along the way m, to its left m, turn rad), along the chord of the motion, negative when backward. Half of
     the turn comes before the translation, which the camera's own yaw turns the other way. Derivatives are by
-    `CONSTANT_ERRORS`, of which an increment that wheels alone did not measure tells nothing.
+    `CONSTANT_ERRORS`, of which what wheels did not measure tells nothing.
     """
     right, backward, turn = increment.mean.tolist()
     # As a line, forward and backward count alike; straight ahead when the robot stood.
@@ -220,16 +219,17 @@ def _step_of(increment: Increment, parameters: MotionParameters) -> tuple[float,
     distance_var, turn_var = noise_variances(increment, parameters)
     left_var, left_turn = SLIP**2 * distance_var + ahead_m**2 * turn_var / 2, ahead_m * turn_var / 2
     noise = np.array([[distance_var, 0.0, 0.0], [0.0, left_var, left_turn], [0.0, left_turn, turn_var]])
+    noise += from_robot @ increment.cov @ from_robot.T
+    way = np.maximum([increment.path_m, increment.turned_rad], 1e-300)
+    driven_m, turned = (np.array([ahead_m, turn]) * (1.0 - increment.told / way)).tolist()  # as wheels measured
     by_wheels = [
-        (ahead_m, 0.0, 0.0),  # of the scale of distances
-        (0.0, ahead_m * turn / 2, turn),  # of turns
-        (0.0, ahead_m * ahead_m / 2, ahead_m),  # of the veer
+        (driven_m, 0.0, 0.0),  # of the scale of distances
+        (0.0, ahead_m * turned / 2, turned),  # of turns
+        (0.0, ahead_m * driven_m / 2, driven_m),  # of the veer
         from_robot @ increment.by_delay,
-        (0.0, -ahead_m, 0.0),  # of the camera's yaw
+        (0.0, -driven_m, 0.0),  # of the camera's yaw
     ]
     effects = np.array(by_wheels)
-    if increment.cov.any():
-        noise, effects = np.asarray(noise + from_robot @ increment.cov @ from_robot.T), np.zeros((5, 3))
     by_constant_error = effects[:-1].T  # the camera's yaw moves no robot
     doubt = by_constant_error @ parameters.bias.cov[:-1, :-1] @ by_constant_error.T
     return direction, ahead_m, noise, effects, np.asarray(from_robot.T @ (noise + doubt) @ from_robot)

@@ -238,7 +238,8 @@ def _edges(value: Edges) -> None:
 
 
 def _increment(value: Increment) -> None:
-    if value.mean.shape != (3,) or value.cov.shape != (3, 3) or value.by_delay.shape != (3,):
+    shapes = [part.shape for part in (value.mean, value.cov, value.by_delay, value.told)]
+    if shapes != [(3,), (3, 3), (3,), (2,)]:
         raise ValueError("expected a motion of three numbers and its covariance, found another")
 
 

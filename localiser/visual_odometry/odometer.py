@@ -122,5 +122,6 @@ def increment_of(motion: Gaussian) -> Increment:
 
     Its path is how far the robot may well have come: one of which nothing is known has not stood still.
     """
-    path_m = np.sqrt(np.square(motion.mean[:2]).sum() + np.trace(motion.cov[:2, :2]))
-    return Increment(motion.mean, motion.cov, float(path_m), float(np.sqrt(motion.mean[2] ** 2 + motion.cov[2, 2])))
+    path_m = float(np.sqrt(np.square(motion.mean[:2]).sum() + np.trace(motion.cov[:2, :2])))
+    turned_rad = float(np.sqrt(motion.mean[2] ** 2 + motion.cov[2, 2]))
+    return Increment(motion.mean, motion.cov, path_m, turned_rad, told=np.array([path_m, turned_rad]))

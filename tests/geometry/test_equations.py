@@ -158,6 +158,13 @@ def test_covariance_of_composed_increments_is_of_first_order():
     np.testing.assert_allclose(FIRST.then(SECOND).cov, jacobian @ cov @ jacobian.T, rtol=1e-8, atol=1e-16)
 
 
+@pytest.mark.parametrize("later", [SECOND, g.Increment.from_mean(SECOND.mean)])
+def test_what_came_after_the_beginning_is_what_came_then(later: g.Increment) -> None:
+    found = FIRST.then(later).since(FIRST)
+    ways = ([one.cov[2, 2], one.path_m, one.turned_rad, *one.told, *one.mean] for one in (found, later))
+    np.testing.assert_allclose(*ways, atol=1e-15)
+
+
 # -- ROS --------------------------------------------------------------------------------------------------------------
 
 

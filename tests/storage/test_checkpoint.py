@@ -245,6 +245,7 @@ IMPOSSIBLE = {
     "a pose of two numbers": short_pose,
     "a lean too few": in_part("seen", lambda seen: {"edges": replace(seen.edges, lean=seen.edges.lean[1:])}),
     "a motion of two numbers": lambda state: last_image(state, mean=np.zeros(2)),
+    "a way of three numbers": lambda state: last_image(state, told=np.zeros(3)),
     "landmarks out of order": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO[::-1], SCENES, SCENES)}),
     "a scene too few": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO, SCENES[:1], SCENES)}),
     "a near scene too few": in_part("belief", lambda _: {"landmarks": PlaceLandmarks(TWO, SCENES, SCENES[:1])}),
