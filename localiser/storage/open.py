@@ -55,9 +55,9 @@ def open_log(
             raise InputError(f"{option} is for ROS bags, found a log of the format {reader.format!r}", path=path)
     log = reader.read(path, ReadOptions(sensor or BearingSensor(), topics or {}, camera))
     truth = log.groundtruth
-    if truth is not None and not (log.frames[0].t_ns <= truth.t_ns[-1] and truth.t_ns[0] <= log.frames[-1].t_ns):
+    if truth is not None and not any(truth.covers(frame.t_ns) for frame in log.frames):
         images, poses = (f"from {times[0]} to {times[-1]} ns" for times in ([f.t_ns for f in log.frames], truth.t_ns))
-        warn(f"the true poses, {poses}, are of another time than the images, {images}: no errors are told", path=path)
+        warn(f"the true poses, {poses}, cover none of the images, {images}: errors are not known", path=path)
     return log
 
 

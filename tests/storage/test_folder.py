@@ -156,7 +156,7 @@ def test_images_and_odometry_must_overlap(log_folder: Path) -> None:
 
 def test_truth_of_another_time_is_told(log_folder: Path) -> None:
     (log_folder / "groundtruth.csv").write_text("t_ns,x,z,heading\n900000000,0,0,0\n")
-    with pytest.warns(InputWarning, match="of another time than the images"):
+    with pytest.warns(InputWarning, match="cover none of the images"):
         open_log(log_folder)
 
 

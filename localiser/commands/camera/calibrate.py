@@ -92,7 +92,7 @@ def calibrate(
     if not is_quiet():
         _show(found)
     if problem := lens_problem(found.camera):
-        raise InputError(f"{problem}; more images of the board near the border tell the lens there", field="--lens")
+        raise InputError(f"{problem}, and images of the board near the border tell more", field="--lens")
     if out is not None:
         write_calibration(found, out, out.stem)
         typer.echo(f"Written to {out}")
