@@ -131,7 +131,7 @@ def widest_tangent(camera: Camera, parameters: SightParameters) -> float:
 
 @lru_cache(maxsize=16)
 def field_of_view_rad(camera: Camera) -> float:
-    """Return the angle between the bearings of the image's left and right border, on its middle row."""
+    """Return the angle between the bearings of the image's left and right border, on the principal point's row."""
     a_left, a_right, _, _ = camera.upright_bounds
     left, right = np.arctan(np.array([a_left, a_right]) / np.cos(camera.mount.tilt_rad))
     return float(right - left)
