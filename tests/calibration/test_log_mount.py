@@ -170,8 +170,7 @@ def test_sigma_covers_the_error_where_rows_lean():
         found = mount_of_lines(drive.lines, drive.odometry, drive.camera, drive.mount)
         errors.append((found.mount - drive.mount) / found.sigma)
     errors = np.array(errors)
-    assert 0.5 < np.sqrt((errors**2).mean()) < 1.5
-    assert np.abs(errors).max() < 4.0
+    assert 0.5 < np.sqrt((errors**2).mean()) < 1.5 and np.abs(errors).max() < 4.0
 
 
 # -- the check of a run -----------------------------------------------------------------------------------------------

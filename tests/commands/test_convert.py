@@ -65,8 +65,7 @@ def test_what_cannot_be_done(localiser, tmp_path, name, option, problem):
     source = write_small_log(tmp_path / "log")
     before = files(tmp_path)
     result = localiser("convert", source, tmp_path / name, *option, "--quiet")
-    assert result.exit_code == 2
-    assert problem in " ".join(result.err.split())
+    assert result.exit_code == 2 and problem in " ".join(result.err.split())
     assert files(tmp_path) == before
 
 

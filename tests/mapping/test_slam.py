@@ -70,8 +70,7 @@ def test_errors_of_landmarks_are_what_their_covariances_say() -> None:
         nees.append(np.einsum("li,lij,lj->l", error, np.linalg.inv(found.landmark_cov()[seen]), error) / 2)
         apart, cov = np.diff(error, axis=0), found.difference_cov(seen[1:], seen[:-1])
         between_two.append(np.einsum("li,lij,lj->l", apart, np.linalg.inv(cov), apart) / 2)
-    assert 0.7 < np.mean(nees) < 1.4
-    assert 0.7 < np.mean(between_two) < 1.4
+    assert 0.7 < np.mean(nees) < 1.4 and 0.7 < np.mean(between_two) < 1.4
 
 
 # -- scale ------------------------------------------------------------------------------------------------------------
@@ -183,8 +182,7 @@ def test_a_drive_with_wrong_wheels_is_put_right() -> None:
     found = drive_alone(drive, drive.edges(seed=0, clutter=1.0))
     error = aligned_error(found.poses, drive.truth.poses)
     wheels = aligned_error(drive.odometry.poses, drive.truth.poses)
-    assert np.sqrt((error**2).mean()) < 0.05
-    assert np.sqrt((wheels**2).mean()) > 0.2
+    assert np.sqrt((error**2).mean()) < 0.05 and np.sqrt((wheels**2).mean()) > 0.2
 
 
 def with_fence(drive: World, spacing_m: float, count: int) -> World:

@@ -185,8 +185,7 @@ def test_a_start_near_the_truth_needs_the_truth(localiser: Localiser, log: Path,
     drop_from(log / "log.yaml", "start")
     drop_from(log / "log.yaml", "groundtruth")
     result = localiser("replay", log, "--out", tmp_path / "out", "--start", "truth")
-    assert result.exit_code == 2
-    assert "start" in result.err
+    assert result.exit_code == 2 and "start" in result.err
     assert "--start x,z,heading_deg" in result.err
 
     run = localiser.replay(log, tmp_path / "out", "--start", "0.1,0.7,3.7")
@@ -310,8 +309,7 @@ def assert_valid_until(run: Path, frames: int, log: Path) -> None:
         assert len(storage.read_poses(run / name).t_ns) == frames
     assert len(storage.read_track(run / "trajectory.csv")) == frames
     figures = metrics_of(run)
-    assert figures["complete"] is False
-    assert figures["frames"] == frames
+    assert figures["complete"] is False and figures["frames"] == frames
     assert logged_frames(run) == frames
     assert (run / "report.png").is_file()
 
@@ -321,10 +319,8 @@ def test_bad_frame_half_way_leaves_what_was_done(localiser: Localiser, log: Path
     bad.write_bytes(bad.read_bytes()[:-3000])  # its head, which is checked beforehand, is sound
     result = localiser("replay", log, "--out", tmp_path / "out", "--quiet")
     run = tmp_path / "out" / "corridor" / "1"
-    assert result.exit_code == 2
-    assert str(bad) in result.err
-    assert f"after 7 of {FRAMES} frames" in result.err
-    assert str(run) in result.err
+    assert result.exit_code == 2 and str(bad) in result.err
+    assert f"after 7 of {FRAMES} frames" in result.err and str(run) in result.err
     assert "Traceback" not in result.err
     assert_valid_until(run, 7, log)
 

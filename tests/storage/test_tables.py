@@ -84,8 +84,7 @@ def test_columns_of_a_newer_version_are_kept_as_text(tmp_path: Path) -> None:
 
 
 def test_cells_that_may_be_empty() -> None:
-    assert np.isnan(number_or_unknown(" "))
-    assert np.isnan(positive_or_unknown(""))
+    assert np.isnan(number_or_unknown(" ")) and np.isnan(positive_or_unknown(""))
     assert (name_or_none(""), name_or_none("-1"), name_or_none(" door ")) == ("", "", "door")
     assert [sign(cell) for cell in ("", "0", "1", "+1", "-1")] == [0, 0, 1, 1, -1]
 
