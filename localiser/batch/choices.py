@@ -12,9 +12,10 @@ from typing import Any
 
 from localiser import __version__
 from localiser.config import Config, read_config
+from localiser.documents import fingerprint
 from localiser.errors import InputError, LocaliserError
 from localiser.landmarks import LandmarkMap
-from localiser.storage import ImageEvent, Log, fingerprint, open_log
+from localiser.storage import ImageEvent, Log, open_log
 
 MOST_SEEDS = 100_000
 _COMMA = r""",(?![^\[]*])(?![^{]*})(?=(?:[^"]*"[^"]*")*[^"]*$)"""

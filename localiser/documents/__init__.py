@@ -1,6 +1,6 @@
 """YAML documents in which every value knows its place, so that an error can name file, line, column and field.
 
-And how any file is read, of bounded size, and written, whole or not at all.
+How any file is read, of bounded size, and written, whole or not at all. And typed data as bytes.
 """
 
 from localiser.documents.document import (
@@ -32,3 +32,4 @@ from localiser.documents.files import (
     write_bytes,
     write_text,
 )
+from localiser.documents.typed_data import decode, encode, fingerprint

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from localiser import edges as edges_package
 from localiser import geometry as geometry_package
 from localiser import motion
 from localiser.camera import Camera
+from localiser.documents import decode, encode
 from localiser.edges import EdgeParameters, Edges, find_edges
 from localiser.errors import InputError
 from localiser.filter import Sighting, Start
@@ -179,7 +179,7 @@ def edges_of_log(
     kept = cache / f"edges-{_key(log, parameters)}" if cache and log.has_images else None
     content = read_kept(kept) if kept else None
     if content is not None:
-        found: list[Edges] = pickle.loads(content)
+        found: list[Edges] = decode(list[Edges], content)
         for _ in found:
             progress()
         return found
@@ -193,7 +193,7 @@ def edges_of_log(
             found.append(Edges(**{name: getattr(edges, name) for name in _KEPT}))
         progress()
     if kept:
-        write_kept(kept, pickle.dumps(found), _KEPT_LOGS)
+        write_kept(kept, encode(found), _KEPT_LOGS)
     return found
 
 
@@ -202,7 +202,7 @@ def _key(log: RecordedLog, parameters: EdgeParameters) -> str:
     digest = hashlib.sha256()
     packages = (edges_package.__file__, geometry_package.__file__)
     sources = [path for each in packages for path in sorted(Path(str(each)).parent.rglob("*.py"))]
-    for source in (*sources, Path(camera_module.__file__)):
+    for source in (*sources, Path(camera_module.__file__), Path(encode.__code__.co_filename)):
         digest.update(source.read_bytes())
     values = {field.name: getattr(log.camera, field.name) for field in fields(log.camera)}
     digest.update(repr((sorted(values.items(), key=lambda item: item[0]), parameters)).encode())

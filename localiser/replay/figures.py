@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from localiser import evaluate
 from localiser.calibration import check_mount, clock_offset
-from localiser.documents import dump
+from localiser.documents import dump, fingerprint
 from localiser.edges import DARK_GREY, WASHED_OUT, Edges, Light
 from localiser.evaluate import Track
 from localiser.filter import LocatedFrame, Sighting, Start
@@ -23,7 +23,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.localiser import Localiser
 from localiser.particles import POSE
 from localiser.replay.frames import KeptFrames
-from localiser.storage import Log, fingerprint, jump_text
+from localiser.storage import Log, jump_text
 
 CLOCK_PAIRS = 60  # of images, for the offset of the clocks: about a second of computing
 BADLY_LIT = 0.1  # fraction of the images from which on their light is told

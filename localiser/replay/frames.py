@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from localiser import particles
+from localiser.documents import decode, encode
 from localiser.errors import OutputError
 from localiser.filter import Located, LocatedFrame
 from localiser.geometry import Array
-from localiser.storage import decode, encode
 
 IN_MEMORY = 4_000_000  # bytes, beyond which the file is written to the disk: about 400 images
 

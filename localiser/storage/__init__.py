@@ -3,7 +3,7 @@
 from localiser.documents import output_errors, write_bytes, write_text
 from localiser.storage.bags import check_start, motion_settings, write_bag
 from localiser.storage.cameras import camera_error, lens_problem, read_camera, write_camera
-from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, decode, encode, fingerprint, identity_of
+from localiser.storage.checkpoint import checkpoint_bytes, checkpoint_of, identity_of
 from localiser.storage.files import is_video, require_new, require_new_file
 from localiser.storage.folder import FolderReader, write_log
 from localiser.storage.images import MAX_IMAGE_BYTES, Image, ImageEvent, check_whole, decoded, encode_image, read_image

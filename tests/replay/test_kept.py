@@ -13,6 +13,7 @@ from short_log import corridor_with_edges
 
 from localiser import Localiser
 from localiser.config import read_config
+from localiser.documents import encode
 from localiser.errors import OutputError
 from localiser.evaluate import found_images, metrics
 from localiser.filter import Finding, LocatedFrame
@@ -20,7 +21,7 @@ from localiser.landmarks import LandmarkMap
 from localiser.replay import replay_log
 from localiser.replay.figures import Summary
 from localiser.replay.frames import KeptFrames
-from localiser.storage import TrackWriter, encode, open_log, read_poses
+from localiser.storage import TrackWriter, open_log, read_poses
 from localiser.storage.trajectories import read_track
 
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small_log import CAMERA, MAP, START, sightings
 
+from localiser.documents import decode, encode, fingerprint
 from localiser.errors import InputError
 from localiser.filter import FilterState, Mcl, MclParameters, Odometry, step
 from localiser.filter.scene import Scene, SeenImage
@@ -26,9 +27,6 @@ from localiser.storage.checkpoint import (
     Checkpoint,
     checkpoint_bytes,
     checkpoint_of,
-    decode,
-    encode,
-    fingerprint,
     identity_of,
 )
 
