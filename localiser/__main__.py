@@ -1,8 +1,11 @@
 """`python -m localiser` and the command `localiser`."""
 
 import gc
+import os
 import signal
 import sys
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is imported: several threads add up in another order
 
 from localiser import commands as cli
 

@@ -138,8 +138,7 @@ def test_known_poses_give_an_accurate_complete_honest_map(name: str, seed: int) 
     apart = np.linalg.norm(made.points[:, None] - drive.landmark_map.points[None], axis=-1)
     error, nearest = apart.min(axis=1), apart.argmin(axis=1)
     seen = drive.seen_from_apart(edges, 6.0)
-    assert np.median(error) <= 0.02
-    assert np.quantile(error, 0.95) <= 0.06
+    assert np.median(error) <= 0.02 and np.quantile(error, 0.95) <= 0.06
     assert (apart[:, seen].min(axis=0) <= 0.06).mean() >= 0.9
     assert (error > 0.2).mean() <= 0.05
     offset = made.points - drive.landmark_map.points[nearest]

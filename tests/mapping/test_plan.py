@@ -82,8 +82,7 @@ def test_a_pillar_has_four_corners(yaw: float) -> None:
     landmarks = plan_landmarks(plan, "hall", "plan hall.yaml")
     expected = map_from_cells(plan, np.array([[10.0, 20.0], [20.0, 20.0], [10.0, 35.0], [20.0, 35.0]]))
     distance, which = cKDTree(landmarks.points).query(expected)
-    assert distance.max() < 0.01
-    assert sorted(which) == [0, 1, 2, 3]
+    assert distance.max() < 0.01 and sorted(which) == [0, 1, 2, 3]
     assert len(landmarks) == 4
     assert landmarks.bottom_m.tolist() == [0.0] * 4
     assert landmarks.source == ("plan hall.yaml",) * 4

@@ -241,8 +241,7 @@ def test_image_is_a_jpeg_of_the_cameras_size_and_files_pass_through(tmp_path: Pa
     image = written(tmp_path / "run.rrd", *frames)[paths.IMAGE]
     blobs = [bytes(row[0]) for row in image["EncodedImage:blob"] if row]
     decoded = cv2.imdecode(np.frombuffer(blobs[0], np.uint8), cv2.IMREAD_COLOR)
-    assert decoded.shape == (CAMERA.height, CAMERA.width, 3)
-    assert blobs[1:] == [file]
+    assert decoded.shape == (CAMERA.height, CAMERA.width, 3) and blobs[1:] == [file]
     assert [row[0] for row in image["EncodedImage:media_type"] if row] == ["image/jpeg", "image/png"]
     assert image["Clear:is_recursive"] == [[False]], "an old image must not stay under new edges"
 

@@ -148,8 +148,7 @@ def test_a_second_build_finds_no_edges_anew(cache: Path, monkeypatch: pytest.Mon
 
     monkeypatch.setattr("localiser.mapping.recorded.find_edges", never)
     second = edges_of_log(log, EdgeParameters(), lambda: steps.append(1), kept)
-    assert len(steps) == 8
-    assert len(list((cache / "edges").iterdir())) == 1
+    assert len(steps) == 8 and len(list((cache / "edges").iterdir())) == 1
     assert all(same(one, other) for one, other in zip(first, second, strict=True))
     with pytest.raises(AssertionError):
         edges_of_log(log, EdgeParameters(min_length_px=40.0), cache=kept)
