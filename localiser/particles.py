@@ -22,6 +22,7 @@ POSE = ("x", "z", "heading")
 CAMERA_YAW = "camera_yaw"
 MOST_STAGES = 12  # of resampling in one frame, so that it takes a bounded time whatever it shows
 CELL_M, CELL_RAD = 0.25, np.pi / 18
+ADDED = 10_000  # products at a time: of more, BLAS adds parts in as many threads as it has
 _AROUND = round(2 * np.pi / CELL_RAD)  # cells that close the heading's circle
 # One of each pair of opposite neighbours: 13 of the 26.
 _NEIGHBOURS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])
@@ -187,9 +188,10 @@ def thinned(particles: Particles, count: int) -> Particles:
 
 def centred(columns: Array, weight: Array) -> tuple[Array, Array]:
     """Return the mean (D,) of particles (D, N) of weight (N,), and what each is off it (D, N)."""
-    mean = (columns[:, None] @ weight[:, None]).ravel()  # a dot product for each column
+    parts = [slice(first, first + ADDED) for first in range(0, len(weight), ADDED)]
+    mean = np.sum([(columns[:, None, part] @ weight[part, None]).ravel() for part in parts], axis=0)
     cos, sin = cos_sin(columns[2])
-    mean[2] = np.arctan2(weight @ sin, weight @ cos)
+    mean[2] = np.arctan2(*np.sum([(weight[part] @ sin[part], weight[part] @ cos[part]) for part in parts], axis=0))
     residual = columns - mean[:, None]
     residual[2] = wrap_angle(residual[2])
     return mean, residual

@@ -62,8 +62,7 @@ def test_tags() -> None:
     """The error stays below that of one measured range."""
     last, worst, wheels = figures(output("tags"))
     assert last < 0.03 and worst < 0.15 and wheels > 0.15
-    text = (ROOT / "examples" / "tags.py").read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 150
+    assert len((ROOT / "examples" / "tags.py").read_text(encoding="utf-8").splitlines()) <= 150
 
 
 @pytest.mark.slow

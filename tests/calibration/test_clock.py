@@ -157,8 +157,7 @@ def test_noise_and_constants_are_found_within_their_sigmas():
     fit = fit_odometry([simulated_drive(0), simulated_drive(1), simulated_drive(2)], MotionParameters())
     true = np.array([getattr(NOISE, name) for name in ALPHAS])
     found = np.array([getattr(fit.motion, name) for name in ALPHAS])
-    off = np.log(found / true) / np.log(fit.factor)
-    assert np.abs(off).max() < 3, (found, fit.factor)
+    assert np.abs(np.log(found / true) / np.log(fit.factor)).max() < 3, (found, fit.factor)
     assert np.median(fit.factor) < 1.3
     constants = np.array(list(CONSTANTS.values()))
     assert np.abs((fit.constants - constants) / fit.sigmas).max() < 3.5

@@ -465,7 +465,16 @@ def test_where_results_go_has_one_short_name_in_all_commands() -> None:
     assert all(options == ["--out", "-o"] for options in short.values()), short
 
 
-def test_sums_are_the_same_with_any_number_of_threads() -> None:
-    code = "import localiser.__main__, numpy as np; w = np.random.default_rng(0).random(400_000); print((w @ w).hex())"
+@pytest.mark.parametrize(
+    ("first", "sums"),
+    [
+        ("import localiser.__main__", "[w @ w]"),
+        ("from localiser.particles import centred", "centred(w.reshape(4, -1), w[:100_000])[0]"),
+    ],
+)
+def test_sums_are_the_same_with_any_number_of_threads(first: str, sums: str) -> None:
+    code = (
+        f"{first}; import numpy as np; w = np.random.default_rng(0).random(400_000); print(np.array({sums}).tobytes())"
+    )
     environments = [os.environ | {"OPENBLAS_NUM_THREADS": count} for count in ("1", "2")]
     assert len({subprocess.check_output([sys.executable, "-c", code], env=each) for each in environments}) == 1

@@ -241,8 +241,7 @@ def test_the_same_edges_are_found_in_any_light(gain):
 
 def test_an_edge_beside_what_is_overexposed_counts_however_small_its_step():
     camera = camera_of()
-    image = wall_image(camera, [0.0], [243.0, 255.0], noise_sigma=0.5)
-    assert len(find_edges(image, camera, PARAMETERS)) == 1
+    assert len(find_edges(wall_image(camera, [0.0], [243.0, 255.0], noise_sigma=0.5), camera, PARAMETERS)) == 1
 
 
 def shaded(image, bearing_deg, width_px, camera):

@@ -71,8 +71,7 @@ def test_tables_fit_the_terminal_and_break_no_word(width: int, count: int) -> No
     console = Console(width=width, color_system=None)
     with console.capture() as capture:
         print_tables(runs, console)
-    lines = capture.get().splitlines()
-    assert max(map(len, lines)) <= width
+    assert max(map(len, capture.get().splitlines())) <= width
     words = set(capture.get().split())
     assert not any("…" in word for word in words)
     assert {"match", "found", "heading", "median", "0.55", "9.100", "100.5"} <= words

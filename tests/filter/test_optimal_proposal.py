@@ -161,5 +161,4 @@ def test_weights_take_back_stages_that_were_cut_short(monkeypatch):
 def test_a_share_of_the_mean_keeps_particles_that_edges_do_not_like():
     log_evidence = np.array([0.0, -1000.0])
     flat = flattened(log_evidence, np.zeros(2))
-    weight = normalised(flat)
-    assert weight[1] == pytest.approx(optimal_proposal.BLIND / 2, rel=1e-6)
+    assert normalised(flat)[1] == pytest.approx(optimal_proposal.BLIND / 2, rel=1e-6)

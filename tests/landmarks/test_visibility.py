@@ -105,8 +105,7 @@ def test_margin_counts_edges_just_outside():
 def test_edge_straight_ahead_is_seen_from_bottom_to_top_of_the_image():
     camera, unknown = make_camera(), np.array([np.nan])
     ends = image_heights(camera, np.array([2.0]), unknown, unknown)
-    length = visible_length_px(camera, np.array([0.0]), *ends)
-    assert length[0] == pytest.approx(479)
+    assert visible_length_px(camera, np.array([0.0]), *ends)[0] == pytest.approx(479)
 
 
 # -- which landmarks are seen -----------------------------------------------------------------------------------------

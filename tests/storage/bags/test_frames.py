@@ -131,8 +131,7 @@ def test_the_floor_of_a_robot_whose_frames_have_a_prefix(tmp_path: Path, prefix:
         )
         recorder.transform(f"{prefix}base_link", "optical", (0.0, 0.0, 0.5), OPTICAL)
 
-    mount = read(tmp_path / "bag", record, base=f"{prefix}base_link").camera.mount
-    assert mount.height_m == pytest.approx(0.7)
+    assert read(tmp_path / "bag", record, base=f"{prefix}base_link").camera.mount.height_m == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(
