@@ -28,9 +28,9 @@ CORE = ("edges", "landmarks", "particles", "motion", "geometry", "documents", "c
 # What is counted: the ceiling of today, and the goal.
 BUDGETS = {
     "lines: " + ", ".join(FILTER): (4_600, 4_600),
-    "lines: " + ", ".join(CORE): (5_115, 5_200),
+    "lines: " + ", ".join(CORE): (5_127, 5_200),
     "lines: around the core": (24_480, 24_500),
-    "lines: all of localiser": (34_132, 34_300),
+    "lines: all of localiser": (34_144, 34_300),
     "files: all of localiser": (190, 220),
     "lines: tests": (28_000, 28_000),
     "lines: benchmarks": (6_500, 6_500),

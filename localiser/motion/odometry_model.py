@@ -137,7 +137,7 @@ class MotionParameters:
             columns[2] -= columns[-1]
         columns[2] = wrap_angle(columns[2])
         if step.by_constant_error.any():
-            cov += project(columns, particles.weight)
+            cov = at_most(cov + project(columns, particles.weight), self.bias.cov)
         if particles.names[3:] == CONSTANT_ERRORS and increment.path_m > 0:
             cov = forget(columns, cov, increment.path_m, self.bias)
         return replace(particles, columns=columns, constant_error_cov=cov)
@@ -269,6 +269,18 @@ def project(columns: Array, weight: Array) -> Array:
     change = with_pose[3:] @ (axes @ axes.T) @ pose - residual[3:]
     _add(columns, change)
     return np.asarray((change * weight) @ change.T)
+
+
+def at_most(cov: Array, prior: Array) -> Array:
+    """Return a covariance (B, B) whose variance exceeds that of a diagonal prior in no direction.
+
+    What steps tell never puts constant errors in more doubt than before. What `project` adds may, where a likelihood
+    has many peaks. Then doubt would feed itself: it lets steps be large, which tell of large errors.
+    """
+    sigma = np.sqrt(np.where(prior.diagonal() > 0, prior.diagonal(), 1.0))
+    variance, axes = np.linalg.eigh(cov / np.outer(sigma, sigma))
+    axes *= sigma[:, None]
+    return np.asarray((axes * np.clip(variance, 0.0, 1.0)) @ axes.T) if variance[-1] > 1.0 else cov
 
 
 def forget(columns: Array, cov: Array, path_m: float, parameters: ConstantErrorParameters) -> Array:

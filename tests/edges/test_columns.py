@@ -255,8 +255,7 @@ def shaded(image, bearing_deg, width_px, camera):
 def test_soft_shading_among_sharp_edges_is_no_edge(width_px, found):
     camera = camera_of()
     image = wall_image(camera, [-12.0, 0.0, 12.0], [60.0, 150.0, 80.0, 160.0], noise_sigma=1.0)
-    edges = find_edges(shaded(image, 0.0, width_px, camera), camera, PARAMETERS)
-    assert len(edges) == found
+    assert len(find_edges(shaded(image, 0.0, width_px, camera), camera, PARAMETERS)) == found
 
 
 @pytest.mark.parametrize("shape", [(3, 9), (6, 40), (12, 16)])

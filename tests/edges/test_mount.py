@@ -184,8 +184,7 @@ def test_two_edges_are_taken_to_be_as_crooked_as_is_stated():
     ends = vertical_segments(camera, np.array([-20.0, 20.0])).ends_px
     unknown = np.full(2, np.nan)
     edges = Edges.from_columns(unknown, unknown, unknown, np.full(2, 1e-4), ends_px=ends)
-    error = told_by(edges, camera, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3))
-    assert 0.6 < error.crooked < 1.0
+    assert 0.6 < told_by(edges, camera, np.deg2rad([0.5, 0.3]), np.deg2rad(0.3)).crooked < 1.0
 
 
 def test_a_vague_mount_is_found_from_wherever_it_is_stated():

@@ -51,8 +51,7 @@ def test_same_run_same_bytes_of_the_promised_size(tmp_path: Path) -> None:
     write_report(tmp_path / "a.png", **run())
     write_report(tmp_path / "b.png", **run())
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    image = cv2.imread(str(tmp_path / "a.png"))
-    assert image.shape == (1050, 1600, 3)
+    assert cv2.imread(str(tmp_path / "a.png")).shape == (1050, 1600, 3)
     assert b"Software" not in (tmp_path / "a.png").read_bytes()[:400]
 
 

@@ -254,8 +254,7 @@ def test_until_it_is_known_the_height_is_weighed_together_with_poses() -> None:
     assert not known.with_poses(told, 1.0).is_unknown
     flat = height.with_poses(lambda _: 3.0, 1.0)
     np.testing.assert_allclose(flat.probability, height.probability, rtol=1e-9)
-    little = height.with_poses(told, 0.1)
-    assert 0.0 < little.mean_m < known.mean_m < tenth
+    assert 0.0 < height.with_poses(told, 0.1).mean_m < known.mean_m < tenth
 
 
 def test_an_image_without_ends_tells_nothing() -> None:

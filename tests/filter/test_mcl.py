@@ -219,8 +219,7 @@ def test_an_image_from_the_same_place_tells_nothing_new() -> None:
 def test_headings_at_the_seam_are_averaged_as_directions(heading: float) -> None:
     mean = np.array([0.0, 0.0, heading])
     found = run(filter_of(4000), [Start(0, mean, PRIOR), *odometry(circle([0, SECOND])), *images([SECOND])])
-    error = wrap_angle(found[0].estimate.pose[2] - heading - 0.5)
-    assert abs(error) < 4 * 0.05 / np.sqrt(4000)
+    assert abs(wrap_angle(found[0].estimate.pose[2] - heading - 0.5)) < 4 * 0.05 / np.sqrt(4000)
     assert found[0].estimate.pose_cov[2, 2] == pytest.approx(0.05**2, rel=0.1)
     assert (np.abs(found[0].particles["heading"]) <= np.pi).all()
 

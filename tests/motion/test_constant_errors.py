@@ -164,6 +164,16 @@ def test_an_estimate_is_forgotten_towards_the_prior_the_cameras_heading_staying_
     np.testing.assert_allclose(cov_in_pieces, cov, atol=1e-12)
 
 
+def test_steps_never_put_constant_errors_in_more_doubt_than_the_prior() -> None:
+    cloud, rng = start(500), np.random.default_rng(0)
+    for increment in drive(60):
+        cloud = NOISE.predict(cloud, increment, rng)
+        off = wrap_angle(cloud["heading"] - np.median(cloud["heading"]))
+        cloud = particles.take(cloud, rng.choice(500, 500, p=off**2 / (off**2).sum()))  # as by two peaks
+        doubt = cloud.constant_error_cov / np.outer(SIGMA, SIGMA)
+        assert np.linalg.eigvalsh(doubt)[-1] <= 1.0 + 1e-9
+
+
 def test_what_vision_measured_tells_nothing_of_the_wheels() -> None:
     increment = Increment.from_mean([0, -0.5, 0.1], np.diag([0.01, 0.01, 0.01]) ** 2)
     cloud = start(50)

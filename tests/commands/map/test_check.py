@@ -40,8 +40,7 @@ def test_neighbours_one_behind_the_other_are_not_doubles_for_a_distance_that_all
     points = np.array([[0.0, 0.0], [0.0, 0.03], [1.0, 0.0], [1.0, 0.03], [2.0, 0.0]])
     across_m = np.array([0.006, 0.006, 0.012, 0.012, 0.006])
     cov = across_m[:, None, None] ** 2 * np.diag([1.0, 9.0])
-    landmarks = replace(LandmarkMap.from_points(points), cov=cov)
-    assert duplicates(landmarks).tolist() == [[2, 3]]
+    assert duplicates(replace(LandmarkMap.from_points(points), cov=cov)).tolist() == [[2, 3]]
 
 
 @pytest.mark.parametrize("shared_m", [0.006, 0.015])
@@ -50,8 +49,7 @@ def test_neighbours_are_not_doubles_for_an_error_that_all_landmarks_share(shared
     points = np.array([[0.0, 0.0], [0.03, 0.0], [3.0, 0.0], [3.05, 0.0], [6.0, 0.0]])
     own_m = np.array([0.001, 0.001, 0.03, 0.03, 0.0])
     cov = (own_m**2 + shared_m**2 * (own_m > 0))[:, None, None] * np.eye(2)
-    landmarks = replace(LandmarkMap.from_points(points), cov=cov)
-    assert duplicates(landmarks).tolist() == [[2, 3]]
+    assert duplicates(replace(LandmarkMap.from_points(points), cov=cov)).tolist() == [[2, 3]]
 
 
 def test_what_is_in_view_depends_on_the_heading() -> None:

@@ -143,8 +143,7 @@ def test_a_plan_is_refined_by_a_log(tmp_path: Path) -> None:
     drive = world("corridor")
     log = edge_log(tmp_path / "log", drive.edges(seed=0))
     assert run("map", "build", log, "-o", built, "-q").exit_code == 0
-    told = run("map", "merge", plan, built, "-o", out)
-    assert told.exit_code == 0
+    assert run("map", "merge", plan, built, "-o", out).exit_code == 0
     drawn, whole = map_of_plan(plan)[0], read_map(out)
     assert whole.ids[: len(drawn)] == drawn.ids
     both = np.flatnonzero(np.isfinite(whole.quality.sightings[: len(drawn)]))
