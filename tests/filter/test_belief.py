@@ -91,11 +91,12 @@ def test_a_map_is_said_not_to_fit_by_images_with_enough_edges_alone(most: int) -
 @pytest.mark.parametrize("kind", ["line", "slope"])
 def test_the_map_of_another_floor_is_found_out(kind: str) -> None:
     """Its corridor is as wide, so the likelihood believes it for most of the way; the robot passes 10 m of doors."""
-    drive, other = hours_of("floor", 1, 0.7), hours_of("floor", 2, 0.1)
-    told = run(drive, 1, observation=kind, start=drive.truth[0], landmark_map=other.landmark_map, same_building=False)
-    first = int(told.warned.argmax())
-    assert told.warned.any() and told.seconds[first] < 30.0
-    assert told.sure[first:].mean() < 0.05
+    drive, other = hours_of("floor", 1, 0.7), hours_of("floor", 2, 0.1).landmark_map
+    start = drive.truth[0]
+    runs = [run(drive, i, observation=kind, start=start, landmark_map=other, same_building=False) for i in range(5)]
+    after_s = [told.seconds[told.warned.argmax()] if told.warned.any() else np.inf for told in runs]
+    assert np.median(after_s) < 20.0, after_s
+    assert all(told.sure[told.warned.argmax() :].mean() < 0.05 for told in runs if told.warned.any())
     right = run(drive, 1, observation=kind)
     assert not right.warned.any() and right.right.all() and right.sure.mean() > 0.95
 
