@@ -95,7 +95,7 @@ def test_the_map_of_another_floor_is_found_out(kind: str) -> None:
     start = drive.truth[0]
     runs = [run(drive, i, observation=kind, start=start, landmark_map=other, same_building=False) for i in range(5)]
     after_s = [told.seconds[told.warned.argmax()] if told.warned.any() else np.inf for told in runs]
-    assert np.median(after_s) < 20.0, after_s
+    assert np.median(after_s) < 20.0 and sorted(after_s)[3] < 30.0, after_s
     assert all(told.sure[told.warned.argmax() :].mean() < 0.05 for told in runs if told.warned.any())
     right = run(drive, 1, observation=kind)
     assert not right.warned.any() and right.right.all() and right.sure.mean() > 0.95
