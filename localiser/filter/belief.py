@@ -333,17 +333,17 @@ class Belief:
         if len(sighting.edges) == 0 and sighting.measurement is None:
             return "no edges"
         others = self.elsewhere + self.unexplored + (1.0 - self._looked_at) * self.here
-        return "edges contradict the map" if self._contradicted > others else "several places fit"
+        return "edges contradict the map" if self._misfit > others else "several places fit"
 
     @property
-    def _contradicted(self) -> float:
+    def _misfit(self) -> float:
         """The probability that this is no map of what is seen."""
         return self.off_map + (self.landmarks.log_odds < 0) * (1.0 - self.landmarks.probability) * self.here
 
     @property
     def warning(self) -> MapWarning:
         """What a user should look at, "" where all is well."""
-        are_missing = self.landmarks.probability < MISSING and self._contradicted > TRACKED_UNFIT[0]
+        are_missing = self.landmarks.probability < MISSING and self._misfit > TRACKED_UNFIT[0]
         return "this map does not fit" if self.unfit >= 1.0 or are_missing else ""
 
 

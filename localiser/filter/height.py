@@ -114,10 +114,10 @@ class Height:
             edges = replace(edges, height_sigma_m=min(sigma_m, STATED_SIGMA_M))
         if abs(self.mean_m) < self.sigma_m:
             return edges
-        return seen_from(edges, camera, round(self.mean_m / STEP_M) * STEP_M)
+        return raised(edges, camera, round(self.mean_m / STEP_M) * STEP_M)
 
 
-def seen_from(edges: Edges, camera: Camera, offset_m: float) -> Edges:
+def raised(edges: Edges, camera: Camera, offset_m: float) -> Edges:
     """Return the edges as seen from so far above the stated height."""
     stated = camera.at(edges.mount).mount
     height_m = max(stated.height_m + offset_m, STEP_M)  # above the floor

@@ -20,7 +20,7 @@ from localiser.errors import InputError
 from localiser.filter.attitude import Attitude, Level
 from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_near, is_silent, moves_between
-from localiser.filter.height import COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, seen_from
+from localiser.filter.height import COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, raised
 from localiser.filter.map_error import SCALES, MapError
 from localiser.filter.optimal_proposal import OptimalProposal
 from localiser.filter.scene import Jump, Scene
@@ -446,7 +446,7 @@ def _height_with_poses(
     blur_rad = max(spread_rad / len(few) ** (1 / len(POSE)) - sigma_rad, 0.0)
 
     def log_likelihood(offset_m: float) -> float:
-        shifted = replace(seen_from(edges, camera, offset_m), height_sigma_m=COARSE_SIGMA_M)
+        shifted = replace(raised(edges, camera, offset_m), height_sigma_m=COARSE_SIGMA_M)
         by_rate = observation.by_rate(few, replace(sighting, edges=shifted), landmarks, blur_rad)
         return float(log_sum(few.log_weight + state.inliers.after(1.0).log_mean(by_rate)))
 

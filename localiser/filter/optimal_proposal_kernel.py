@@ -14,7 +14,7 @@ from localiser.geometry import Array
 from localiser.geometry.angle_kernel import arctan
 from localiser.geometry.compiled import entry, inlined
 
-NEAREST_M = 0.05  # ahead of the camera; what is nearer or behind tells nothing
+LEAST_AHEAD_M = 0.05  # ahead of the camera; what is nearer or behind tells nothing
 BLOCK = 64  # particles looked at together
 
 # Rows of a block: camera, axes of the step, the camera's offset from the robot, and what targets add up to.
@@ -47,8 +47,8 @@ def _add(block: Array, target: Any, sin_tilt: float, is_slope: bool) -> None:
         cos, sin = block[_COS, m], block[_SIN, m]
         dx, dz = x - block[_X, m], z - block[_Z, m]
         right, ahead = dx * cos - dz * sin, -(dx * sin + dz * cos)
-        weight = certain if ahead >= NEAREST_M else 0.0
-        ahead = ahead if ahead >= NEAREST_M else NEAREST_M
+        weight = certain if ahead >= LEAST_AHEAD_M else 0.0
+        ahead = ahead if ahead >= LEAST_AHEAD_M else LEAST_AHEAD_M
         square = right * right + ahead * ahead
         per_x, per_z = -(ahead * cos + right * sin) / square, (ahead * sin - right * cos) / square
         per_heading = 1.0 + per_x * block[_OFFSET_Z, m] - per_z * block[_OFFSET_X, m]

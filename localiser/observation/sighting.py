@@ -6,7 +6,7 @@ The filter needs `Observation.log_likelihood` alone. All else it does with `Edge
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,6 @@ class Matches:
         return cls(np.full(edges, -1), unknown[0], np.zeros(landmarks, dtype=bool), unknown[1], unknown[2])
 
 
-@runtime_checkable
 class Observation(Protocol):
     """Anything that weighs particles by what was measured."""
 

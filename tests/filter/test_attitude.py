@@ -16,7 +16,7 @@ from localiser.edges.measure import common_error
 from localiser.evaluate import nees
 from localiser.filter import LocatedFrame, Odometry, Start, mcl
 from localiser.filter.attitude import MEMORY_M, Attitude, Level
-from localiser.filter.height import OFFSETS_M, Height, seen_from
+from localiser.filter.height import OFFSETS_M, Height, raised
 from localiser.geometry import Array, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import EXACT, MotionParameters
@@ -264,7 +264,7 @@ def test_an_image_without_ends_tells_nothing() -> None:
     assert after.novelty == 0.0
 
 
-def test_edges_are_seen_from_the_height_that_was_found() -> None:
+def test_edges_are_raised_the_height_that_was_found() -> None:
     edges = replace(Edges.from_bearings([0.1, 0.2], 0.01), foot_range_m=np.array([2.0, np.nan]))
     known = Height((np.abs(OFFSETS_M - 0.1) < 1e-9).astype(float))
     moved = known.corrected(edges, CAMERA, is_tracked=True)
@@ -277,4 +277,4 @@ def test_edges_are_seen_from_the_height_that_was_found() -> None:
     assert known.corrected(measured, CAMERA, is_tracked=True).mount == measured.mount, "measured for this image alone"
     assert known.corrected(measured, CAMERA, is_tracked=True).height_sigma_m == 0.02
     low = CAMERA.with_mount(height_m=0.1)
-    assert all(seen_from(edges, low, off_m).mount.height_m > 0.0 for off_m in OFFSETS_M), "no camera is in the floor"
+    assert all(raised(edges, low, off_m).mount.height_m > 0.0 for off_m in OFFSETS_M), "no camera is in the floor"

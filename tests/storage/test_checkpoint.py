@@ -129,7 +129,7 @@ def test_identity_names_settings_and_parts() -> None:
 
 
 def test_what_is_no_checkpoint(tmp_path: Path) -> None:
-    old, other = b"localiser-checkpoint/2", "something else"
+    old, other = b"localiser-checkpoint/3", "something else"
     for content, found in {b"": other, b"PK\x03\x04": other, old + b"\n": old.decode(), b"\n" * 5: other}.items():
         (tmp_path / "file").write_bytes(content)
         with pytest.raises(InputError, match=rf"file: expected a checkpoint \(localiser-checkpoint/4\), found {found}"):
