@@ -264,7 +264,7 @@ def test_an_image_without_ends_tells_nothing() -> None:
     assert after.novelty == 0.0
 
 
-def test_edges_are_raised_the_height_that_was_found() -> None:
+def test_edges_are_seen_from_the_height_that_was_found() -> None:
     edges = replace(Edges.from_bearings([0.1, 0.2], 0.01), foot_range_m=np.array([2.0, np.nan]))
     known = Height((np.abs(OFFSETS_M - 0.1) < 1e-9).astype(float))
     moved = known.corrected(edges, CAMERA, is_tracked=True)
