@@ -141,7 +141,7 @@ def long(times_driven: Sequence[int]) -> None:
         )
 
 
-def alone(sightings: Sightings, wheels: mapping.Wheels, camera: Camera) -> tuple[Array, float, float]:
+def alone(sightings: Sightings, wheels: mapping.Steps, camera: Camera) -> tuple[Array, float, float]:
     """Return the poses (T, 3) that edges and wheels give, seconds of one processor, and MB that this process grew."""
     begin, before = process_time(), most_memory_mb()
     poses = mapping.build_from_log(sightings, wheels, PRIOR, np.zeros(3), camera, MappingParameters()).poses

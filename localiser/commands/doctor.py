@@ -55,14 +55,14 @@ def doctor(
             for finding in examination.log_checks(recorded, settings):
                 findings.append(finding)
         except InputError as error:
-            findings.append(examination.Finding("replay", "missing", str(error)))
+            findings.append(examination.Check("replay", "missing", str(error)))
     live = settings.live
     if live.connect or live.listen or live.zenoh_config or live.dds >= 0:
         heard = examination.listen_to_robot(live, seconds)
         findings += [*examination.topic_checks(heard), *examination.clock_checks(heard)]
         known, problem = examination.camera_of(heard, known)
         if known is None:
-            findings.append(examination.Finding("camera", "missing", problem))
+            findings.append(examination.Check("camera", "missing", problem))
         else:
             findings += [examination.camera_finding(known), *examination.heard_checks(heard, known, settings)]
     table = Table(box=None, show_header=False)

@@ -42,7 +42,7 @@ _SOURCE = Path("image")
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Check:
     """One thing that was looked at."""
 
     what: str
@@ -50,18 +50,18 @@ class Finding:
     text: str
 
 
-def versions() -> Iterator[Finding]:
+def versions() -> Iterator[Check]:
     """Yield what is installed."""
-    yield Finding("localiser", "ok", f"{__version__}, Python {platform.python_version()} on {platform.system()}")
+    yield Check("localiser", "ok", f"{__version__}, Python {platform.python_version()} on {platform.system()}")
     for library in (*LIBRARIES, *OF_A_ROBOT):
         try:
-            yield Finding(library, "ok", metadata.version(library))
+            yield Check(library, "ok", metadata.version(library))
         except metadata.PackageNotFoundError:
             if extra := OF_A_ROBOT.get(library):
                 text = f"not installed; for a running robot: pip install '.[{extra}]' in a clone"
-                yield Finding(library, "optional", text)
+                yield Check(library, "optional", text)
             else:
-                yield Finding(library, "missing", "not installed")
+                yield Check(library, "missing", "not installed")
 
 
 @dataclass(slots=True, eq=False)
@@ -103,12 +103,12 @@ def listen_to_robot(live: LiveParameters, seconds: float) -> Heard:
     return heard
 
 
-def topic_checks(heard: Heard) -> Iterator[Finding]:
+def topic_checks(heard: Heard) -> Iterator[Check]:
     """Yield every topic with its rate, and which are missing."""
     for role, topic in heard.topics.items():
         if topic not in heard.counts and role not in ("moving_transforms", "initialpose", "groundtruth", "clock"):
             state: State = "missing" if role in ("image", "odometry") else "warning"
-            yield Finding(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --set live.topics.{role}=NAME")
+            yield Check(topic, state, f"nothing heard in {heard.seconds:g} s; {role}: --set live.topics.{role}=NAME")
     roles = {topic: role for role, topic in heard.topics.items()}
     for topic, count in sorted(heard.counts.items()):
         known = roles.get(topic)
@@ -116,10 +116,10 @@ def topic_checks(heard: Heard) -> Iterator[Finding]:
         text = f"{count / heard.seconds:.1f} Hz, {heard.sizes[topic] / count / 1000:.1f} kB {kind}".rstrip()
         text = f"{known}, {text}" if known else text
         readable = known is None or any(True for _ in heard.messages(known))
-        yield Finding(topic, "ok" if readable else "warning", text if readable else f"{text}; none can be read")
+        yield Check(topic, "ok" if readable else "warning", text if readable else f"{text}; none can be read")
 
 
-def clock_checks(heard: Heard) -> Iterator[Finding]:
+def clock_checks(heard: Heard) -> Iterator[Check]:
     """Yield how far the stamps of images and wheels are behind this machine's calendar when they come."""
     lags = {}
     for role in ("image", "odometry"):
@@ -129,10 +129,10 @@ def clock_checks(heard: Heard) -> Iterator[Finding]:
         lags[role] = lag = float(np.median(found))
         fine = -0.01 <= lag <= CLOCK_S
         hint = "" if fine else "; does the robot's clock agree with this machine's?"
-        yield Finding(f"clock of {role}", "ok" if fine else "warning", f"stamps are {lag:.3f} s old on arrival{hint}")
+        yield Check(f"clock of {role}", "ok" if fine else "warning", f"stamps are {lag:.3f} s old on arrival{hint}")
     if len(lags) == 2 and abs(lags["image"] - lags["odometry"]) > CLOCK_S:
         apart = lags["image"] - lags["odometry"]
-        yield Finding("clocks", "warning", f"images are stamped {apart:.3f} s before wheels; they must share a clock")
+        yield Check("clocks", "warning", f"images are stamped {apart:.3f} s before wheels; they must share a clock")
 
 
 def camera_of(heard: Heard, given: Camera | None) -> tuple[Camera | None, str]:
@@ -154,15 +154,15 @@ def camera_of(heard: Heard, given: Camera | None) -> tuple[Camera | None, str]:
     return finder.camera, finder.problem
 
 
-def camera_finding(camera: Camera) -> Finding:
+def camera_finding(camera: Camera) -> Check:
     """Return what is known of a camera."""
     mount = camera.mount
     tilt, roll = np.rad2deg([mount.tilt_rad, mount.roll_rad]).round(1) + 0.0
     text = f"{camera.width}×{camera.height} pixels, {mount.height_m:.2f} m high, tilt {tilt:.1f}°, roll {roll:.1f}°"
-    return Finding("camera", "ok", text)
+    return Check("camera", "ok", text)
 
 
-def heard_checks(heard: Heard, camera: Camera, config: Config) -> Iterator[Finding]:
+def heard_checks(heard: Heard, camera: Camera, config: Config) -> Iterator[Check]:
     """Yield what the edges say of tilt, roll and clocks of a robot that was heard."""
     wheels = {stamp_of(message): floor_pose(message) for _, message in heard.messages("odometry")}
     if len(wheels) < 2:
@@ -184,7 +184,7 @@ def heard_checks(heard: Heard, camera: Camera, config: Config) -> Iterator[Findi
 
 def edge_checks(
     times: Sequence[int], image_of: Callable[[int], Image], track: Trajectory, camera: Camera, config: Config
-) -> Iterator[Finding]:
+) -> Iterator[Check]:
     """Yield what the edges of images say of tilt and roll against what is stated, and of the clocks.
 
     times: of the images, by the clock of the odometry, `track`. image_of: returns an image (H, W) by its number.
@@ -197,33 +197,31 @@ def edge_checks(
     chosen = spread(len(times), MOST_IMAGES)
     frames = [edges_of(k) for k in chosen]
     if not any(len(edges) for edges in frames):
-        yield Finding("edges", "warning", "no vertical edge in any image")
+        yield Check("edges", "warning", "no vertical edge in any image")
         return
-    yield Finding("edges", "ok", f"{np.median([len(edges) for edges in frames]):.0f} in an image")
+    yield Check("edges", "ok", f"{np.median([len(edges) for edges in frames]):.0f} in an image")
     poses = track.sampled([times[k] for k in chosen]).poses
     check = check_mount(frames.__getitem__, poses, camera, config.edges.mount_sigma_rad)
     stated, found, sigma = (np.rad2deg(values).round(2) + 0.0 for values in (check.stated, check.mount, check.sigma))
     for name, k in (("tilt", 0), ("roll", 1)):
         text = f"{found[k]:.2f}° ± {sigma[k]:.2f}° by the edges, {stated[k]:.2f}° stated"
-        yield Finding(name, "warning" if check.disagrees else "ok", text)
+        yield Check(name, "warning" if check.disagrees else "ok", text)
     yield offset_finding(times, edges_of, track, camera)
 
 
-def offset_finding(
-    times: Sequence[int], edges_of: Callable[[int], Edges], track: Trajectory, camera: Camera
-) -> Finding:
+def offset_finding(times: Sequence[int], edges_of: Callable[[int], Edges], track: Trajectory, camera: Camera) -> Check:
     """Return by how much images are stamped later than wheels, by the turns that both of them show."""
     found = clock_offset(times, edges_of, track, camera, most=MOST_PAIRS)
     text = f"images are stamped {found.text} than wheels, by {np.rad2deg(found.turned_rad):.0f}° of turning"
     if found.problem:
         text = "the turns do not tell the offset of images against wheels: the robot must turn for a while"
-    return Finding("offset of clocks", "warning" if found.disagrees() else "ok", text)
+    return Check("offset of clocks", "warning" if found.disagrees() else "ok", text)
 
 
 # -- a log ------------------------------------------------------------------------------------------------------------
 
 
-def topics_of(path: Path) -> Iterator[Finding]:
+def topics_of(path: Path) -> Iterator[Check]:
     """Yield the topics of a bag with their rates, gaps and clocks; nothing for another log. Raises InputError.
 
     Clocks and gaps are those of the messages that a log is made of.
@@ -237,26 +235,26 @@ def topics_of(path: Path) -> Iterator[Finding]:
             for message in bag.messages([topic for topic in topics if topic.msgtype in _STAMPED]):
                 times[message.topic].append((message.stamp_ns, message.t_ns))
         except InputError as error:
-            yield Finding("bag", "warning", str(error))
+            yield Check("bag", "warning", str(error))
     for topic in topics:
         kind = f"{topic.count} × {topic.msgtype}"
         if not times[topic.name]:
-            yield Finding(topic.name, "ok", kind)
+            yield Check(topic.name, "ok", kind)
             continue
         stamps, recorded = np.array(times[topic.name], dtype=np.int64).T
         if not stamps.any():
-            yield Finding(topic.name, "warning", f"{kind}; headers without stamps")
+            yield Check(topic.name, "warning", f"{kind}; headers without stamps")
             continue
         finding = times_finding(topic.name, stamps, kind)
         lag_s = float(np.median(recorded - stamps)) / 1e9
         yield replace(finding, text=f"{finding.text}; stamps are {lag_s:.3f} s older than the recording")
 
 
-def times_finding(what: str, stamps_ns: Sequence[int] | NDArray[np.int64], text: str) -> Finding:
+def times_finding(what: str, stamps_ns: Sequence[int] | NDArray[np.int64], text: str) -> Check:
     """Return the rate of something, and where it was missing for long or went back in time."""
     times_s = np.asarray(stamps_ns, dtype=np.int64) / 1e9
     if len(times_s) < 2 or times_s.max() == times_s.min():
-        return Finding(what, "ok", text)
+        return Check(what, "ok", text)
     steps_s = np.diff(times_s)
     usual_s = float(np.median(steps_s))
     text += f", {1 / usual_s:.1f} Hz" if usual_s > 0 else ""
@@ -270,10 +268,10 @@ def times_finding(what: str, stamps_ns: Sequence[int] | NDArray[np.int64], text:
         )
     if back:
         text += f"; {back} stamp{'s' * (back > 1)} not later than the one before"
-    return Finding(what, "warning" if back or len(gaps) else "ok", text)
+    return Check(what, "warning" if back or len(gaps) else "ok", text)
 
 
-def log_checks(log: Log, config: Config) -> Iterator[Finding]:
+def log_checks(log: Log, config: Config) -> Iterator[Check]:
     """Yield what a log that can be read has, whether its camera and clocks fit, and what a replay still needs."""
     kind = "images" if log.has_images else "images, of which the log has the edges"
     times = [frame.t_ns for frame in log.frames]
@@ -285,12 +283,12 @@ def log_checks(log: Log, config: Config) -> Iterator[Finding]:
         outside = sum(not log.odometry.covers(t_ns) for t_ns in times)
         if outside:
             text = f"does not reach {outside} of {len(times)} images, in which the wheels tell no motion"
-            yield Finding("odometry", "warning", text)
+            yield Check("odometry", "warning", text)
     else:
-        yield Finding("odometry", "optional", "none: the images alone tell how the robot moved")
+        yield Check("odometry", "optional", "none: the images alone tell how the robot moved")
     yield camera_finding(log.camera)
     if log.mount_moves:
-        yield Finding("mount", "ok", "moves on the robot; each image has its own")
+        yield Check("mount", "ok", "moves on the robot; each image has its own")
     elif log.has_images and len(log.odometry) > 1:
         images = log.images
         yield from edge_checks(times, lambda k: images[k].load(), log.odometry, log.camera, config)
@@ -301,4 +299,4 @@ def log_checks(log: Log, config: Config) -> Iterator[Finding]:
          "by --map map.yaml"),
     )  # fmt: skip
     for what, known, state, text in lacks:
-        yield Finding(what, state, f"none: {text}") if known is None else Finding(what, "ok", "known")
+        yield Check(what, state, f"none: {text}") if known is None else Check(what, "ok", "known")

@@ -16,7 +16,7 @@ from localiser.geometry import Array
 from localiser.live.clock import LATE_NS, Clocks, SimulatedTime
 from localiser.live.inbox import Arrival, Inbox, message_of
 from localiser.live.outputs import Outputs
-from localiser.live.timeline import Frame
+from localiser.live.timeline import WaitingImage
 from localiser.live.tracker import Tracker
 from localiser.ros import MAP_INVALID, MAP_LOADED, MAP_NOT_THERE, map_frames, service_bytes, service_message
 from localiser.storage import read_map
@@ -190,7 +190,7 @@ class LiveRun:
         if finder.camera is None:
             self.outputs.monitor.wait("no camera", f"images wait for the camera: {finder.problem}")
             return
-        self.tracker.add_frame(Frame(number, t_ns, stamp_of(message), arrival.at_ns, message))
+        self.tracker.add_frame(WaitingImage(number, t_ns, stamp_of(message), arrival.at_ns, message))
 
     def _take_odometry(self, arrival: Arrival, message: Any) -> None:
         pose = np.array(floor_pose(message))

@@ -25,7 +25,7 @@ PATIENCE_NS = 500_000_000
 
 
 @dataclass(slots=True, eq=False)
-class Frame:
+class WaitingImage:
     """An image on its way. number: how many came before it. stamp_ns: by the robot's clock. at_ns: when it came.
 
     measured: once its edges are found. by_wheels: whether the wheels tell how the robot came there.
@@ -57,7 +57,7 @@ class Timeline:
     """
 
     decided: Callable[[str], None]
-    is_ready: Callable[[Frame], bool] = lambda _: True
+    is_ready: Callable[[WaitingImage], bool] = lambda _: True
     needs_wheels: bool = True
     settled_ns: int = -1
     weighed_ns: int = -1
@@ -67,7 +67,7 @@ class Timeline:
     skipped: dict[str, int] = field(default_factory=dict)
     _released: deque[Odometry] = field(default_factory=lambda: deque(maxlen=8))  # before the last image, one after
     _odometry: list[tuple[int, int, Array]] = field(default_factory=list)
-    _frames: list[Frame] = field(default_factory=list)
+    _frames: list[WaitingImage] = field(default_factory=list)
 
     def add_odometry(self, t_ns: int, number: int, pose: Array, at_ns: int) -> None:
         """Take in a pose (3,) of the wheels; number: how many came before it. at_ns: when it came."""
@@ -82,7 +82,7 @@ class Timeline:
             self.newest_ns = max(self.newest_ns, t_ns)
             self._thin_out()
 
-    def add_frame(self, frame: Frame) -> None:
+    def add_frame(self, frame: WaitingImage) -> None:
         """Take in an image."""
         if frame.t_ns <= self.weighed_ns:
             self.skip(frame, "late")
@@ -94,7 +94,7 @@ class Timeline:
                 oldest = self._frames.pop(0)
                 self.skip(oldest, "waited for odometry" if oldest.t_ns > self.newest_ns else "newer image")
 
-    def next(self, most: int, now_ns: int) -> Frame | None:
+    def next(self, most: int, now_ns: int) -> WaitingImage | None:
         """Return the image to weigh now, if odometry has reached any; of those it has reached all but `most` are old.
 
         most: how many there is time for; at least the newest is taken. now_ns: by the clock of arrivals. Wheels that
@@ -117,7 +117,7 @@ class Timeline:
         return frame
 
     @property
-    def waiting(self) -> Frame | None:
+    def waiting(self) -> WaitingImage | None:
         """The newest image that still waits for the wheels."""
         return self._frames[-1] if self._frames else None
 
@@ -130,7 +130,7 @@ class Timeline:
     def _poses(self) -> list[Odometry]:
         return [*self._released, *(Odometry(at_ns, pose) for at_ns, _, pose in self._odometry)]
 
-    def release(self, frame: Frame) -> Iterator[Odometry]:
+    def release(self, frame: WaitingImage) -> Iterator[Odometry]:
         """Yield the poses of the wheels up to the first at or after an image that is weighed now; they are settled."""
         self.weighed_ns = frame.t_ns
         self.decided(image_decision(frame.number, frame.t_ns, by_wheels=frame.by_wheels))
@@ -140,7 +140,7 @@ class Timeline:
             yield self._released[-1]
         self.settled_ns = max(self.settled_ns, frame.t_ns)
 
-    def discard(self, frame: Frame, why: str) -> None:
+    def discard(self, frame: WaitingImage, why: str) -> None:
         """Leave out an image that may be waiting."""
         self._frames = [waiting for waiting in self._frames if waiting is not frame]
         self.skip(frame, why)
@@ -180,7 +180,7 @@ class Timeline:
         self._released.append(settled)
         self.settled_ns = self.weighed_ns = settled.t_ns
 
-    def skip(self, frame: Frame, why: str) -> None:
+    def skip(self, frame: WaitingImage, why: str) -> None:
         """Leave an image out, and say why."""
         self.skipped[why] = self.skipped.get(why, 0) + 1
         self.decided(image_decision(frame.number, frame.t_ns, why))

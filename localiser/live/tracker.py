@@ -21,7 +21,7 @@ from localiser.geometry import Array, Trajectory, between, compose
 from localiser.landmarks import LandmarkMap
 from localiser.live.clock import Clocks
 from localiser.live.outputs import Outputs, Published
-from localiser.live.timeline import Frame, Timeline, is_driven
+from localiser.live.timeline import Timeline, WaitingImage, is_driven
 from localiser.localiser import Localiser
 from localiser.storage import checkpoint_of, identity_of, write_bytes
 from localiser.storage.bags import (
@@ -149,7 +149,7 @@ class Tracker:
 
     # -- in ---------------------------------------------------------------------------------------------------------
 
-    def add_frame(self, frame: Frame) -> None:
+    def add_frame(self, frame: WaitingImage) -> None:
         """Take in an image; the first since the camera is known begins the run."""
         self._begin(frame.t_ns)
         self.timeline.add_frame(frame)
@@ -284,7 +284,7 @@ class Tracker:
         if self.finder.mount_reaches(waiting.stamp_ns):
             self._find_edges(self.localiser, waiting)
 
-    def _find_edges(self, localiser: Localiser, frame: Frame) -> None:
+    def _find_edges(self, localiser: Localiser, frame: WaitingImage) -> None:
         """Find the edges of an image; an image that is damaged is left out."""
         try:
             pixels = grey_image(frame.message)
@@ -295,7 +295,7 @@ class Tracker:
             self.outputs.monitor.warn("bad image", f"left out an image: {error}")
             self.timeline.discard(frame, "damaged")
 
-    def _weigh(self, localiser: Localiser, frame: Frame) -> None:
+    def _weigh(self, localiser: Localiser, frame: WaitingImage) -> None:
         begin = time.perf_counter()
         if frame.measured is None:
             self._find_edges(localiser, frame)
@@ -316,7 +316,7 @@ class Tracker:
         if self.checkpoints is not None:
             self.checkpoints.save_if_due(localiser, self.clocks.robot.offset_ns)
 
-    def _published(self, frame: Frame, found: LocatedFrame) -> Published:
+    def _published(self, frame: WaitingImage, found: LocatedFrame) -> Published:
         """Return what goes out of an image: the estimate, and moved on by what the wheels did since."""
         located, truth = found.located, found.truth
         now_ns, odometry_now = self._newest_odometry or (frame.t_ns, located.odometry)

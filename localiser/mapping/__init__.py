@@ -2,7 +2,7 @@
 
 from localiser.mapping.build import BUILDERS, COARSE_RAD, Builder, MapBuilt, build_map
 from localiser.mapping.check import ENOUGH, Coverage, coverage, in_view, update_map
-from localiser.mapping.factors import Prior, Wheels
+from localiser.mapping.factors import Prior, Steps
 from localiser.mapping.known_poses import build_from_poses
 from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, renumber
 from localiser.mapping.merge import (

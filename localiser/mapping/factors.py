@@ -38,7 +38,7 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class Wheels:
+class Steps:
     """Odometry between consecutive frames: motion (T - 1, 3) in the robot frame, and the path driven (T - 1,).
 
     path_m: negative for driving backwards. cov: (T - 1, 3, 3) of the noise of each motion.
@@ -73,7 +73,7 @@ class Bearings:
 class Problem:
     """What is measured, T frames. robot_from_level: (T, 3) floor poses of the camera in the robot frame, as stated."""
 
-    wheels: Wheels
+    wheels: Steps
     bearings: Bearings
     robot_from_level: Array
     prior: Prior
@@ -102,7 +102,7 @@ class State:
 # -- residuals, each measured minus predicted, in sigmas ---------------------------------------------------------------
 
 
-def wheel_residuals(wheels: Wheels, poses: Array, constants: Array) -> Array:
+def wheel_residuals(wheels: Steps, poses: Array, constants: Array) -> Array:
     """Return what the wheels say minus what they should (T - 1, 3) in sigmas, given what is wrong with them.
 
     poses: (T, 3). constants: (4,), see `CONSTANTS`. The constants act on the motion, not on the measurement: else the

@@ -20,7 +20,7 @@ from localiser.mapping.factors import (
     Prior,
     Problem,
     State,
-    Wheels,
+    Steps,
     bearing_block,
     variables,
     wheel_residuals,
@@ -311,13 +311,13 @@ _STRETCHES = (1, 10, 30, 100)  # steps between images, over which the noise is c
 _CHANCE = 0.003  # that the noise of right wheels alone contradicts a path
 
 
-def contradicting_steps(wheels: Wheels, poses: Array, constants: Array) -> Index:
+def contradicting_steps(wheels: Steps, poses: Array, constants: Array) -> Index:
     """Return the steps (K,), each from image k to k + 1, in which a path contradicts the wheels."""
     chi2 = (wheel_residuals(wheels, poses, constants) ** 2).sum(axis=1)
     return np.flatnonzero(chi2 > _largest_chi2(len(chi2)))
 
 
-def contradiction(wheels: Wheels, prior: Prior, poses: Array, constants: Array) -> str | None:
+def contradiction(wheels: Steps, prior: Prior, poses: Array, constants: Array) -> str | None:
     """Return in words how a path contradicts the wheels; None where it does not.
 
     poses: (T, 3). constants: (4,) of wheels and mount, as in `factors.CONSTANTS`. prior: what is stated of them.

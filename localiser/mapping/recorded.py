@@ -22,7 +22,7 @@ from localiser.errors import InputError
 from localiser.filter import Sighting, Start
 from localiser.geometry import Array, Increment, Trajectory, Twist, between, bridged, compose, read_kept, write_kept
 from localiser.landmarks import LandmarkMap
-from localiser.mapping.factors import Wheels
+from localiser.mapping.factors import Steps
 from localiser.motion import MotionParameters
 
 # -- poses and wheels -------------------------------------------------------------------------------------------------
@@ -87,7 +87,7 @@ def known_poses(log: RecordedLog, poses: str) -> Trajectory:
     return Trajectory(wheels.t_ns, compose(log.start.mean, between(wheels.at(log.start.t_ns), wheels.poses)))
 
 
-def wheels_of(odometry: Trajectory, t_ns: NDArray[np.int64], parameters: MotionParameters) -> Wheels:
+def wheels_of(odometry: Trajectory, t_ns: NDArray[np.int64], parameters: MotionParameters) -> Steps:
     """Return what the wheels say of the motion between the times (T,), with its noise by the motion model.
 
     Where the odometry jumps it is bridged.
@@ -104,7 +104,7 @@ def wheels_of(odometry: Trajectory, t_ns: NDArray[np.int64], parameters: MotionP
         for move, path, turn in zip(moves, path_m, turned, strict=True)
     )
     cov = np.array([motion.covariance_of(noise_only, increment) for increment in whole]) + np.diag(_LEAST_SIGMA**2)
-    return Wheels(moves, np.where(moves[:, 1] > 0, -path_m, path_m), cov)
+    return Steps(moves, np.where(moves[:, 1] > 0, -path_m, path_m), cov)
 
 
 def _between_times(odometry: Trajectory, step: Array, t_ns: NDArray[np.int64]) -> Array:

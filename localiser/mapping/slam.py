@@ -13,7 +13,7 @@ import numpy as np
 
 from localiser.camera import Camera
 from localiser.geometry import Array, compose, forward, map_from_robot, wrap_angle
-from localiser.mapping.factors import CONSTANTS, Bearings, Prior, Problem, Wheels
+from localiser.mapping.factors import CONSTANTS, Bearings, Prior, Problem, Steps
 from localiser.mapping.known_poses import reassociate, with_leftovers
 from localiser.mapping.landmarks import Built, fit_landmarks, long_enough, measured_sigma, misfit, renumber, same_groups
 from localiser.mapping.loop_closure import (
@@ -82,7 +82,7 @@ class Slam:
 
 
 def build_from_log(
-    sightings: Sightings, wheels: Wheels, prior: Prior, first_pose: Array, camera: Camera, parameters: MappingParameters
+    sightings: Sightings, wheels: Steps, prior: Prior, first_pose: Array, camera: Camera, parameters: MappingParameters
 ) -> Slam:
     """Return poses and landmarks of T frames from their edges and the wheels' motion between them.
 
@@ -132,7 +132,7 @@ class _Solver:
     def __init__(
         self,
         sightings: Sightings,
-        wheels: Wheels,
+        wheels: Steps,
         prior: Prior,
         camera: Camera,
         parameters: MappingParameters,

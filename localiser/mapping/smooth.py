@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localiser.geometry import Array, compose
-from localiser.mapping.factors import CONSTANTS, Problem, State, Wheels, cost_of, landmark_columns, linearise
+from localiser.mapping.factors import CONSTANTS, Problem, State, Steps, cost_of, landmark_columns, linearise
 from localiser.mapping.sightings import Index, Sightings, direction_of
 from localiser.mapping.sparse import Factor
 
@@ -215,7 +215,7 @@ def smooth(
     )
 
 
-def dead_reckoning(wheels: Wheels) -> Array:
+def dead_reckoning(wheels: Steps) -> Array:
     """Return the poses (T, 3) from the wheels alone, the first one at the origin."""
     poses = [np.zeros(3)]
     for motion in wheels.motion:

@@ -8,7 +8,7 @@ from ring_world import circle
 
 from localiser.geometry import Array
 from localiser.mapping import Prior
-from localiser.mapping.factors import Bearings, Problem, Wheels
+from localiser.mapping.factors import Bearings, Problem, Steps
 from localiser.mapping.loop_closure import (
     compatible,
     contradicting_steps,
@@ -122,13 +122,13 @@ PRIOR = Prior(np.zeros(4), np.array([0.02, 0.03, 0.01, 0.02]))
 SIGMA = np.array([0.01, 0.01, 0.003])
 
 
-def driven(seed: int, steps: int = 200) -> tuple[Wheels, Array]:
+def driven(seed: int, steps: int = 200) -> tuple[Steps, Array]:
     """Return what wheels say of a drive along a curve, and where the robot was."""
     motion = np.tile([0.0, -0.1, 0.02], (steps, 1))
     cov = np.tile(np.diag(SIGMA**2), (steps, 1, 1))
-    exact = Wheels(motion, np.full(steps, 0.1), cov)
+    exact = Steps(motion, np.full(steps, 0.1), cov)
     noise = SIGMA * np.random.default_rng(seed).standard_normal((steps, 3))
-    return Wheels(motion + noise, exact.path_m, cov), dead_reckoning(exact)
+    return Steps(motion + noise, exact.path_m, cov), dead_reckoning(exact)
 
 
 @pytest.mark.parametrize("steps", [200, 20000])

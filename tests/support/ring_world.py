@@ -6,7 +6,7 @@ import numpy as np
 
 from localiser.camera import Camera, Mount
 from localiser.geometry import Array, between, compose, robot_from_map
-from localiser.mapping import Prior, Wheels
+from localiser.mapping import Prior, Steps
 from localiser.mapping.factors import Bearings, Problem
 from localiser.motion import MotionParameters
 
@@ -29,7 +29,7 @@ def circle(noise: float, seed: int = 0, frames: int = 80, laps: int = 1) -> tupl
     measured = motion * [1 + CONSTANTS[0], 1 + CONSTANTS[0], 1 + CONSTANTS[1]]
     measured[:, 2] += path * CONSTANTS[2]
     sigma = np.tile([2e-3, 5e-3, 4e-3], (frames - 1, 1))
-    wheels = Wheels(measured + noise * sigma * rng.standard_normal(sigma.shape), path, np.eye(3) * sigma[:, None] ** 2)
+    wheels = Steps(measured + noise * sigma * rng.standard_normal(sigma.shape), path, np.eye(3) * sigma[:, None] ** 2)
     turned = CAMERA.with_mount(yaw_rad=CAMERA.mount.yaw_rad + CONSTANTS[3])
     frame, landmark = (index.ravel() for index in np.indices((frames, 30)))
     level = robot_from_map(turned.pose_in_map(poses)[frame], points[landmark])
