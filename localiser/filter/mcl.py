@@ -341,9 +341,10 @@ def _contradicted(
         fit = state.inliers.log_mean(observation.by_rate(cloud, level, mcl.landmark_map))
         return float(log_sum(cloud.log_weight + fit) - log_sum(cloud.log_weight))
 
+    longest = seen.edges.longest(MOST_FOLLOWED), sighting.edges.longest(MOST_FOLLOWED)
     state.wheels, motion = state.wheels.after(
         np.array([fit_of(thinned(weighed, FEW_TOLD)), image.jump.log_fit]),
-        lambda: TwoImages.of(seen.edges.longest(MOST_FOLLOWED), sighting.edges.longest(MOST_FOLLOWED), odometer.camera),
+        lambda: TwoImages.of(*longest, odometer.camera, state.scene.usual),
         lambda motion: fit_of(mcl.moved(thinned(before, FEW_TOLD), [motion], rng)),
         increment,
         covariance_of(mcl.motion, increment),

@@ -15,7 +15,7 @@ from localiser.edges import FOOT_SIGMA_PX, TURN_RATE, Edges
 from localiser.geometry import Array
 from localiser.landmarks import field_of_view_rad
 
-FOLLOWED_SHARE = 0.7  # of the edges of an image, seen in the one before
+FOLLOWED_SHARE = 0.7  # of the edges of an image, seen in the one before, where that is not learnt
 TYPICAL_INVERSE_RANGE, TYPICAL_SPREAD = 0.4, 0.3  # 1/m: rooms are some metres wide, and edges stand all over them
 FOOT_HEIGHT_SIGMA_M = 0.05  # of how far above the floor lower ends are: thresholds, plinths, skirting boards
 LOOK_SIGMA = 12.0  # grey levels that an unchanged side of an edge differs by
@@ -79,8 +79,8 @@ class TwoImages(NamedTuple):
     mounts: Array
 
     @classmethod
-    def of(cls, before: Edges, after: Edges, camera: Camera) -> TwoImages:
-        """Return the images with these edges, seen by one camera, whose mount may differ from one to the other."""
+    def of(cls, before: Edges, after: Edges, camera: Camera, followed: float = FOLLOWED_SHARE) -> TwoImages:
+        """Return two images of one camera, whose mount may vary. followed: the fraction of edges that continue one."""
         one, two = SeenEdges.of(before, camera), SeenEdges.of(after, camera)
         measured = any(edges.mount is not None and edges.mount.sigma is not None for edges in (before, after))
         if measured or TURN_RATE in before.common.names or before.common.names != after.common.names:
@@ -89,7 +89,7 @@ class TwoImages(NamedTuple):
         is_pair = np.isfinite(before.bearing[:, None] + after.bearing)
         is_pair &= before.polarity[:, None].astype(int) * after.polarity >= 0
         pairs = np.ascontiguousarray(np.argwhere(is_pair))
-        new_density = (1.0 - FOLLOWED_SHARE) / FOLLOWED_SHARE * max(len(before), 1) / field_of_view_rad(camera)
+        new_density = (1.0 - followed) / followed * max(len(before), 1) / field_of_view_rad(camera)
         look = how_alike(before.profile, after.profile)[is_pair] / new_density
         order = np.argsort(after.bearing)
         group = np.cumsum(~(np.diff(after.bearing[order], prepend=-np.inf) <= APART_RAD))
