@@ -117,6 +117,7 @@ def test_a_pair_is_as_likely_as_an_integral_over_its_range_says(feet: bool) -> N
         expected = 0.5 * (agreement * stands + hangs)
     found = loops.log_likelihoods(images, move[None], np.array([TYPICAL_INVERSE_RANGE]), False)
     assert np.expm1(found / images.weight[0]) / images.look[0] == pytest.approx([expected], rel=0.02)
+    assert images.look[0] == pytest.approx(0.7 / 0.3 * TwoImages.of(one, two, CAMERA, followed=0.5).look[0])
 
 
 def test_samples_have_the_mean_and_covariance_of_the_posterior() -> None:
