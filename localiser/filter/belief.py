@@ -13,7 +13,7 @@ import numpy as np
 
 from localiser import particles
 from localiser.filter.events import SURE, MapWarning, Reason, is_near
-from localiser.filter.scene import Jump
+from localiser.filter.motion_hypotheses import Jump
 from localiser.geometry import Array, Increment
 from localiser.motion import MotionModel
 from localiser.observation import FEWEST_EDGES, UNKNOWN_RATE, PlaceLandmarks, Sighting, marked_landmarks

@@ -22,10 +22,10 @@ from localiser.filter.belief import RELEASED, Belief
 from localiser.filter.events import SURE, Anywhere, Event, Located, Odometry, Start, is_near, is_silent, moves_between
 from localiser.filter.height import COARSE_SIGMA_M, LEAST_NOVELTY, Height, is_measured, raised
 from localiser.filter.map_error import SCALES, MapError
+from localiser.filter.motion_hypotheses import MOST_FOLLOWED, Jump, Wheels
 from localiser.filter.optimal_proposal import OptimalProposal
-from localiser.filter.scene import Jump, Scene
+from localiser.filter.scene import Scene
 from localiser.filter.tempering import Weighed, weighed_in_stages
-from localiser.filter.wheels import MOST_FOLLOWED, Wheels
 from localiser.geometry import Array, Increment
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionModel, MotionParameters, covariance_of

@@ -12,7 +12,7 @@ from localiser.edges import Edges
 from localiser.filter import FilterState, Located, Mcl, MclParameters, Odometry, Sighting, Start, step
 from localiser.filter.belief import BARE, Belief
 from localiser.filter.events import is_near
-from localiser.filter.scene import Jump
+from localiser.filter.motion_hypotheses import Jump
 from localiser.geometry import Array, Increment, Trajectory
 from localiser.landmarks import LandmarkMap
 from localiser.motion import MotionParameters

@@ -18,7 +18,7 @@ from localiser.config import read_config
 from localiser.edges import Edges
 from localiser.filter import LocatedFrame, Odometry, Start
 from localiser.filter.events import is_silent
-from localiser.filter.wheels import ASTRAY, LEAST_SIGMA, Wheels, contradicts
+from localiser.filter.motion_hypotheses import ASTRAY, LEAST_SIGMA, Wheels, contradicts
 from localiser.geometry import Increment, between, compose, wrap_angle
 from localiser.particles import POSE, Estimate
 from localiser.replay.run import start_of

@@ -1,7 +1,8 @@
-"""Whether the wheels are right: they may stand still while the robot drives, or slip (docs/motion.md).
+"""Motion hypotheses: the robot moved as its wheels say, as its edges say, or it was carried (docs/motion.md).
 
-The edges that continue may belong to a person who walks by, so one image alone says only so much. While the wheels may
-be wrong, particles move by a Gaussian with mean and covariance of both motions, each with its probability.
+Each is judged by how edges continue those of the image before, and by the map; carried, in the belief. The edges that
+continue may belong to a person who walks by, so one image alone says only so much. While the wheels may be wrong,
+particles move by a Gaussian with mean and covariance of both motions, each with its probability.
 """
 
 from __future__ import annotations
@@ -24,6 +25,10 @@ from localiser.visual_odometry import (
     with_scale,
 )
 
+# The fraction of edges that continue one of the image before is beta distributed: its mean after a robot was carried,
+# and a + b, as edges of one object come and go together.
+CARRIED, CONCENTRATION = 0.2, 6.0
+FRACTIONS: Array = np.linspace(0.01, 0.99, 50)
 STAY_WRONG = 0.7  # how probably wheels that were wrong at the last image still are
 UNUSUAL = np.array([0.7, 0.4])  # part of what is usual below which other motions are compared: map, image before
 FIT_MEMORY = 0.5  # part of what is usual that an image leaves
@@ -32,6 +37,41 @@ MOST_TOLD = 4.0  # log-ratio of one image by the map; as much for the wheels say
 DOUBTED = 0.05  # probability of being wrong from which on particles do not move by the wheels alone
 ASTRAY = 0.05  # part of the motions by edges that are off by more than they claim
 LEAST_SIGMA = np.array([1e-2, 1e-2, 2e-3])  # of any motion that is compared with edges, which are never exact
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """How new an image is, and whether the robot was carried since the last one.
+
+    novelty: of the scene, 0 … 1, by the way. log_ratio: log p(edges | carried) / p(edges | not carried).
+    path_m: driven since the last image. log_fit: log p(edges | last image, motion), over that of new edges.
+    """
+
+    novelty: float
+    log_ratio: float = 0.0
+    path_m: float = 0.0
+    log_fit: float = 0.0
+
+    def carried(self, chance: float) -> float:
+        """Return the probability of having been carried, whose prior `chance` is that between two scenes."""
+        share = 1.0 if self.log_ratio > 0.0 else self.novelty
+        odds = share * chance / (1.0 - chance) * np.exp(min(self.log_ratio, 100.0))
+        return float(odds / (1.0 + odds))
+
+
+def log_carried(continuing: Array, usual: float) -> tuple[float, float, float]:
+    """Return log p(edges | carried) / p(edges | not carried), that of the latter, and the fraction that continue.
+
+    continuing: (E,) how much likelier an edge is if it continues one. usual: which fraction f does, of a robot that was
+    not carried. At ½ and below, edges come and go so often that they tell nothing.
+    """
+    by_fraction = np.log1p(FRACTIONS * (continuing[:, None] - 1.0)).sum(axis=0)
+    mean = np.array([[CARRIED], [max(usual, 0.5)]])  # of f; its beta densities but for a constant that both share
+    density = (CONCENTRATION * mean - 1.0) * np.log(FRACTIONS)
+    density += (CONCENTRATION * (1.0 - mean) - 1.0) * np.log1p(-FRACTIONS)
+    carried, stayed = by_fraction + (density - np.logaddexp.reduce(density, axis=1, keepdims=True))
+    weight, log_fit = np.exp(stayed - stayed.max()), float(np.logaddexp.reduce(stayed))
+    return float(np.logaddexp.reduce(carried)) - log_fit, log_fit, float(weight @ FRACTIONS / weight.sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
