@@ -37,7 +37,8 @@ def edges_at(bearings: ArrayLike, sigma: float, ends_px: Array | None = None) ->
 
 
 def density(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0), turn_var: float = 0.0) -> Array:
-    return scene(now, before, motion, turn_var)
+    earlier = [] if before is None else [EarlierFrame(Frame(before, CAMERA), np.array(motion, dtype=float), turn_var)]
+    return scene_clutter(Frame(now, CAMERA), earlier)[0]
 
 
 def seen_again(found: ArrayLike, camera: Camera, before: ArrayLike, motion: tuple[float, float, float]) -> Array:
@@ -135,11 +136,6 @@ def spines(bottoms: ArrayLike, tops: ArrayLike, bearings: ArrayLike) -> Edges:
     return edges_at(bearings, 0.002, np.stack([lower, upper], axis=1))
 
 
-def scene(now: Edges, before: Edges | None, motion: ArrayLike = (0, 0, 0), turn_var: float = 0.0) -> Array:
-    earlier = [] if before is None else [EarlierFrame(Frame(before, CAMERA), np.array(motion, dtype=float), turn_var)]
-    return scene_clutter(Frame(now, CAMERA), earlier)[0]
-
-
 def test_an_edge_that_one_image_missed_is_expected_from_an_older_one() -> None:
     row, still = np.linspace(-0.45, -0.1, 9), (np.zeros(3), 0.0)
     whole, without = (Frame(edges_at(at, 0.001), CAMERA) for at in ([*row, 0.4], row))
@@ -153,15 +149,15 @@ def test_an_edge_that_one_image_missed_is_expected_from_an_older_one() -> None:
 
 def test_the_scene_expects_an_edge_to_end_where_it_ended() -> None:
     before = spines([300.0, 350.0], [200.0, 100.0], [-0.2, 0.2])
-    same = scene(before, before)
-    other = scene(spines([330.0, 350.0], [150.0, 100.0], [-0.2, 0.2]), before)
+    same = density(before, before)
+    other = density(spines([330.0, 350.0], [150.0, 100.0], [-0.2, 0.2]), before)
     assert same[0] > 3.0 * other[0] and other[1] > 3.0 * other[0]
 
 
 def test_the_scene_expects_a_book_beside_books_and_not_elsewhere() -> None:
     shelf = np.linspace(-0.3, -0.2, 8)
-    density_ = scene(spines([300.0] * 8 + [420.0], [200.0] * 8 + [60.0], [*shelf, 0.3]), None)
-    assert density_[-1] == pytest.approx(1.0 / 9) and (density_[:8] > 3.5).all()
+    shown = density(spines([300.0] * 8 + [420.0], [200.0] * 8 + [60.0], [*shelf, 0.3]), None)
+    assert shown[-1] == pytest.approx(1.0 / 9) and (shown[:8] > 3.5).all()
 
 
 def camera_at(tilt_deg: float, height_m: float) -> Camera:
