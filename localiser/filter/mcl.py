@@ -188,7 +188,7 @@ def locate(mcl: Mcl, state: FilterState, sighting: Sighting, rng: np.random.Gene
     sighting = _from_height(mcl, state, measured)
     image, found = _received(mcl, state, sighting, drive), None
     if state.particles is not None:
-        # Predict: every particle moves by its own draw of the motion, at best where the edges say.
+        # Predict: every particle moves by its own draw of the motion, if possible where the edges say.
         # Weigh: how well does the image fit what each particle should see? Only what is new of it counts.
         found = _weighed(mcl, state, state.particles, image, rng)
         # Do edges and map contradict the wheels? Then the robot may have moved as the edges say.
@@ -433,7 +433,7 @@ def _height_with_poses(
 ) -> Height:
     """Return what is known of the camera's height after an image that tells it together with the pose.
 
-    That is over the poses of all particles. Edges are blurred so that a few particles are dense enough.
+    That is over the poses of some particles. Edges are blurred so that a few particles are dense enough.
     """
     observation, landmarks, edges = mcl.edges, mcl.landmark_map, sighting.edges
     is_asked = state.height.is_unknown and (state.seen is None or state.height.novelty >= LEAST_NOVELTY)
