@@ -65,7 +65,7 @@ def step_density(step: Step, camera: Camera, targets: Targets, novelty: float) -
     """Return the optimal proposal of standardised steps, from odometry and the new part of the edges' evidence.
 
     For each of N particles it is N(A⁻¹ b, A⁻¹), A = L Lᵀ. Returned are L (6, N), its rows 00, 10, 11, 20, 21, 22, then
-    L⁻¹ b (3, N), and ψ (N,), the log of the mean of the edges' likelihood over all steps that odometry allows.
+    L⁻¹ b (3, N), and log ψ (N,), ψ the mean of the edges' likelihood over all steps that odometry allows.
     """
     from localiser.filter import optimal_proposal_kernel as kernel
 
