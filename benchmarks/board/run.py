@@ -6,8 +6,9 @@ Only the public `Localiser` is driven, with its default settings and those that 
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import thread_time
@@ -110,44 +111,48 @@ def run(
     if start is not None:
         robot.start(np.append(start[:2], wrap_angle(start[2])), np.diag(START_SIGMA**2), int(drive.t_ns[0]))
     truth = drive.truth if same_building else np.full(drive.truth.shape, np.nan)
-    return record_of(*located(robot, drive), truth, robot.landmark_map)
+    return record_of(located(robot, drive), truth, robot.landmark_map)
 
 
-def record_of(frames: list[LocatedFrame], ms: list[float], truth: Array, landmark_map: LandmarkMap) -> Record:
+def record_of(found: Iterable[tuple[LocatedFrame, float]], truth: Array, landmark_map: LandmarkMap) -> Record:
     """Return what was said in T images, and how wrong it was. truth: (T, 3), nan where nothing is right.
 
-    landmark_map: in whose frame truth is, that of all maps where there are several.
+    found: what `located` yields; their particles are not kept. landmark_map: in whose frame truth is, that of all maps
+    where there are several.
     """
-    found = [frame.located for frame in frames]
-    error = np.array([one.located.estimate.pose + landmark_map.origin(one.map_name) for one in frames]) - truth
+    rows = []
+    for frame, ms in found:
+        one = frame.located
+        pose = one.estimate.pose + landmark_map.origin(frame.map_name)
+        rows.append((one.t_ns, pose, one.estimate.pose_cov, one.p_correct, bool(one.warning), one.took_over, ms))
+    t_ns, poses, covs, p_correct, warned, took_over, ms_of = (np.array(column) for column in zip(*rows, strict=True))
+    error = poses - truth
     error[:, 2] = wrap_angle(error[:, 2])
     return Record(
-        seconds=np.array([one.t_ns - found[0].t_ns for one in found]) / 1e9,
+        seconds=(t_ns - t_ns[0]) / 1e9,
         error=error,
-        p_correct=np.array([one.p_correct for one in found]),
-        warned=np.array([bool(one.warning) for one in found]),
-        took_over=np.array([one.took_over for one in found]),
-        nees=nees(error, np.array([one.estimate.pose_cov for one in found])),
-        ms=np.array(ms),
+        p_correct=p_correct,
+        warned=warned,
+        took_over=took_over,
+        nees=nees(error, covs),
+        ms=ms_of,
     )
 
 
-def located(robot: Localiser, drive: Drive) -> tuple[list[LocatedFrame], list[float]]:
-    """Return every located image, and the processor time (ms) of all work since the one before."""
+def located(robot: Localiser, drive: Drive) -> Iterator[tuple[LocatedFrame, float]]:
+    """Yield every located image, and the processor time (ms) of all work since the one before."""
     wheels = ((int(t), 0, pose) for t, pose in zip(drive.odometry.t_ns, drive.odometry.poses, strict=True))
     images = ((int(t), 1, edges) for t, edges in zip(drive.t_ns, drive.edges, strict=True))
-    frames: list[LocatedFrame] = []
-    ms: list[float] = []
     begin = thread_time()
-    for t_ns, is_image, measured in heapq.merge(wheels, images, key=lambda event: event[:2]):
-        found = robot.edges(t_ns, measured) if is_image else robot.odometry(t_ns, measured)
+    for event in itertools.chain(heapq.merge(wheels, images, key=lambda event: event[:2]), [None]):
+        if event is None:
+            found = robot.finish()
+        else:
+            found = robot.edges(event[0], event[2]) if event[1] else robot.odometry(event[0], event[2])
         if found:
-            frames += found
-            end = thread_time()
-            ms += [1e3 * (end - begin) / len(found)] * len(found)
-            begin = end
-    last = robot.finish()
-    return frames + last, ms + [1e3 * (thread_time() - begin) / max(len(last), 1)] * len(last)
+            ms = 1e3 * (thread_time() - begin) / len(found)
+            yield from ((frame, ms) for frame in found)
+            begin = thread_time()
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------

@@ -41,7 +41,8 @@ def markers(path: Path) -> None:
 def lift(path: Path) -> None:
     """Draw where the robot is believed to be, image by image, from an unknown start on one floor to the next one."""
     drive = floors.lift(0)
-    frames, _ = located(Localiser(drive.landmark_map, drive.camera, read_config(None, [], drive.settings), 0), drive)
+    robot = Localiser(drive.landmark_map, drive.camera, read_config(None, [], drive.settings), 0)
+    frames = [frame for frame, _ in located(robot, drive)]
     seconds = (drive.t_ns - drive.t_ns[0]) / 1e9
     on = np.array([frame.map_name for frame in frames])
     sure = np.array([frame.located.p_correct for frame in frames])

@@ -123,8 +123,7 @@ def test_a_robot_that_is_carried_away_is_found_out_though_the_map_is_poor() -> N
     poor = replace(drive.landmark_map, points=points + 0.05 * np.column_stack([np.cos(angle), np.sin(angle)]))
     robot = Localiser(poor, drive.camera, read_config(None, (), drive.settings), 0)
     robot.start(drive.truth[0], np.diag(START_SIGMA**2), int(drive.t_ns[0]))
-    frames, _ = located(robot, drive)
-    record, first = record_of(frames, [0.0] * len(frames), drive.truth, drive.landmark_map), drive.carried
+    record, first = record_of(located(robot, drive), drive.truth, drive.landmark_map), drive.carried
     assert record.sure[first - 1]
     assert not (record.sure & ~record.right)[first:].any()
     assert (record.error_m[first + 5 :] < 0.25).all()

@@ -195,7 +195,7 @@ def test_people_who_walk_by_are_no_reason_to_doubt_the_wheels(kind: str) -> None
     drive = hours_of("crowd", 3, 0.5)
     robot = Localiser(drive.landmark_map, drive.camera, read_config(None, [f"observation.kind={kind}"]), 0)
     robot.start(drive.truth[0], np.diag([0.1, 0.1, np.radians(3.0)]) ** 2, int(drive.t_ns[0]))
-    frames, _ = located(robot, drive)
+    frames = [frame for frame, _ in located(robot, drive)]
     error = np.array([frame.located.estimate.pose for frame in frames]) - drive.truth
     assert np.hypot(*error[:, :2].T).max() < 0.25  # 0.74 m where one image may decide
     assert sum(frame.located.wheels_are_wrong for frame in frames) <= 1
