@@ -9,7 +9,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
@@ -77,8 +77,10 @@ class Bag:
         """Open a bag and read which topics it has. Raises InputError."""
         self.path, self.broken = path, ""
         self._files, self._mode = _files_of(path)
-        on_disk = [found for file in self._files for end in ("", *BESIDE) if (found := beside(file, end)).is_file()]
-        sizes = {(found.st_dev, found.st_ino): found.st_size for found in map(Path.stat, on_disk)}
+        sizes: dict[tuple[int, int], int] = {}
+        for each in (beside(file, end) for file in self._files for end in ("", *BESIDE)):
+            with suppress(OSError):  # a bag that is being recorded may lose its journal at any time
+                sizes[each.stat().st_dev, each.stat().st_ino] = each.stat().st_size
         self._size = sum(sizes.values())
         self._reader: tuple[int, Records | Database] | None = None
         self._closing = ExitStack()

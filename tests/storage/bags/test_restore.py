@@ -97,6 +97,12 @@ def test_a_journal_that_is_done_with_needs_no_copy(tmp_path, private, monkeypatc
     assert len(open_log(path).frames) == 4
 
 
+def test_a_journal_may_vanish_while_a_bag_is_opened(tmp_path, monkeypatch):
+    gone = bag(tmp_path / "bag", Recorder.images, "sqlite3") / "bag.db3-journal"
+    monkeypatch.setattr(Path, "is_file", lambda path: path == gone or path.exists())
+    assert len(open_log(gone.with_name("bag.db3")).frames) == 4
+
+
 def test_where_there_is_no_space_what_to_do_is_told(tmp_path, private, monkeypatch):
     path = bag(tmp_path / "bag", Recorder.images, "sqlite3") / "bag.db3"
     path.with_name("bag.db3-wal").write_bytes(b"x")
