@@ -34,13 +34,11 @@ KNOWN = 0.005  # probability of having been overlooked below which a place that 
 NEGLIGIBLE = 1e-6  # probability of the candidates below which they are not followed
 ALONE = 0.98  # weight of one place among the candidates from which on it is tracked
 LIKELY = 0.1  # and its own probability
-# Rooms repeat themselves. While the tracked place explains what is seen, another place gains on it by at most this for
-# each metre from which landmarks were in view, however well it fits.
+# Rooms repeat themselves: the most a place gains on one that explains what is seen, a metre with landmarks in view.
 PATIENCE = 1.5
 # It explains it where its log-likelihood along the last such metre is above this; where none is in view, above 0.
 SUPPORT_M, MOST_SUPPORT, SUPPORTED = 1.0, 8.0, 2.0
-# Probability of having been carried from which on that counts for nothing; `SURELY_CARRIED` where none is in view.
-SUSPECTED = 0.008
+SUSPECTED = 0.008  # P(carried) from which on that counts for nothing; `SURELY_CARRIED` where none is in view
 WON = 50.0  # odds against the particles from which on a place is tracked in their stead
 RELEASED = 1e-3  # probability below which the particles are no longer tracked, but candidates like others
 BESIDE = 0.25  # candidates while a place is tracked, as a part of those while none is

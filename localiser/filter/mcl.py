@@ -73,7 +73,7 @@ class Mcl:
     observation: one that ships, or any other that has `Observation.log_likelihood`. motion: any `MotionModel`.
     correlation: how far the errors of consecutive images repeat. odometer: visual odometry, None for wheels alone.
     search: global localisation; without it a start must be given, and a robot that is lost stays so. level: estimates
-    tilt and roll; without it they are as stated.
+    tilt and roll; without it they are as stated. edges, odometry_model: observation and motion if they ship, else None.
     """
 
     landmark_map: LandmarkMap
@@ -84,11 +84,12 @@ class Mcl:
     odometer: Odometer | None = None
     search: GlobalLocalisation | None = None
     level: Level | None = None
+    edges: EdgeObservation | None = field(init=False)
+    odometry_model: MotionParameters | None = field(init=False)
 
-    @property
-    def edges(self) -> EdgeObservation | None:
-        """The observation of edges; None where it is one's own, of which nothing but a likelihood is asked."""
-        return self.observation if isinstance(self.observation, EdgeObservation) else None
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "edges", self.observation if isinstance(self.observation, EdgeObservation) else None)
+        object.__setattr__(self, "odometry_model", self.motion if isinstance(self.motion, MotionParameters) else None)
 
     def by_edges(self) -> Mcl:
         """Return the same in which edges alone tell how the robot moved. Raises InputError without a camera."""
@@ -147,8 +148,8 @@ def step(mcl: Mcl, state: FilterState, event: Event, rng: np.random.Generator) -
     match event:
         case Start():
             cloud = particles.from_gaussian(event.mean, event.cov, mcl.parameters.start_particles, rng)
-            if isinstance(mcl.motion, MotionParameters):
-                cloud = mcl.motion.at_start(cloud, rng)
+            if mcl.odometry_model is not None:
+                cloud = mcl.odometry_model.at_start(cloud, rng)
             state.begin_at(event.t_ns)
             state.particles = cloud
             # An observation of one's own cannot tell whether the robot is elsewhere.
@@ -262,7 +263,7 @@ def _driven(mcl: Mcl, state: FilterState, sighting: Sighting) -> _Drive:
         state.at_ns = sighting.t_ns
     elif not state.is_begun or sighting.t_ns < state.at_ns:
         raise ValueError("an image came before any start pose")
-    delay_s = mcl.motion.bias.delay_sigma_s if isinstance(mcl.motion, MotionParameters) else 0.0
+    delay_s = 0.0 if mcl.odometry_model is None else mcl.odometry_model.bias.delay_sigma_s
     moves, odometry_pose, jumped = moves_between(state.odometry, state.at_ns, sighting.t_ns, delay_s)
     increment, seconds = reduce(Increment.then, moves), (sighting.t_ns - state.at_ns) / 1e9
     if mcl.odometer is not None and mcl.odometer.parameters.source == "vision" and seconds > 0:
@@ -298,9 +299,8 @@ def _received(mcl: Mcl, state: FilterState, sighting: Sighting, drive: _Drive) -
 def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng: np.random.Generator) -> Weighed:
     """Return particles that moved, by the optimal proposal where edges guide them, and are weighed."""
     inliers, novelty, parameters = state.inliers.after(image.novelty), image.novelty, mcl.parameters
-    observation, motion, sighting = mcl.observation, mcl.motion, image.sighting
-    is_guided = state.seen is not None and len(sighting.edges) and novelty > 0
-    if isinstance(observation, EdgeObservation) and isinstance(motion, MotionParameters) and is_guided:
+    observation, motion, sighting = mcl.edges, mcl.odometry_model, image.sighting
+    if motion is not None and observation is not None and state.seen is not None and novelty and len(sighting.edges):
         *earlier, last = image.drive.moves
         cloud = mcl.moved(cloud, earlier, rng)
         step = motion.expected_step(cloud, last)
@@ -313,7 +313,7 @@ def _weighed(mcl: Mcl, state: FilterState, cloud: Particles, image: _Image, rng:
         moved = mcl.moved(cloud, image.drive.moves, rng)
     landmark_map, stage_below, is_first = mcl.landmark_map, parameters.stage_below, state.seen is None
     return weighed_in_stages(
-        moved, observation, sighting, landmark_map, inliers, novelty, stage_below, rng, is_first=is_first
+        moved, mcl.observation, sighting, landmark_map, inliers, novelty, stage_below, rng, is_first=is_first
     )
 
 
@@ -366,7 +366,7 @@ def _compared(
         like = belief.candidates.particles
     elif like is None:  # constant errors that a robot may have of which nothing is known
         like = particles.from_gaussian(np.zeros(3), np.zeros((3, 3)), mcl.parameters.start_particles, rng)
-        like = mcl.motion.with_constant_errors(like) if isinstance(mcl.motion, MotionParameters) else like
+        like = like if mcl.odometry_model is None else mcl.odometry_model.with_constant_errors(like)
     if belief.candidates is not None:
         moved = mcl.moved(belief.candidates.particles, drive.moves, rng)
         belief = replace(belief, candidates=replace(belief.candidates, particles=moved))
