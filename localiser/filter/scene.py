@@ -1,8 +1,7 @@
 """The scene: what an image shows beyond an image that was taken some way back (docs/belief.md).
 
-The belief compares each hypothesis with the clutter that an earlier image predicts: the last one that was taken a whole
-scene back, near enough to show the same things, and far enough that the parallax of a landmark of known distance tells
-it from clutter of unknown distance. When hardly any edge continues one of the image before, the robot was carried.
+The belief compares each hypothesis with the clutter that the last image a whole scene back predicts. It is near enough
+to show the same, and far enough that parallax tells landmarks of known distance from clutter of unknown distance.
 """
 
 from __future__ import annotations

@@ -80,7 +80,8 @@ class Bag:
         sizes: dict[tuple[int, int], int] = {}
         for each in (beside(file, end) for file in self._files for end in ("", *BESIDE)):
             with suppress(OSError):  # a bag that is being recorded may lose its journal at any time
-                sizes[each.stat().st_dev, each.stat().st_ino] = each.stat().st_size
+                found = each.stat()
+                sizes[found.st_dev, found.st_ino] = found.st_size
         self._size = sum(sizes.values())
         self._reader: tuple[int, Records | Database] | None = None
         self._closing = ExitStack()
